@@ -29,9 +29,9 @@ from one_set import draws_of_one_set
 
 from shj_bayes.inference.posterior import make_posterior
 from shj_bayes.inference.run import Run, runs_of
-from shj_bayes.inference.start import LawOnly, descend, find_start
 from shj_bayes.inference.start import _best_noise as best_noise
 from shj_bayes.inference.start import _covariance as curvature
+from shj_bayes.inference.start import descend, find_start, law_residual
 from shj_bayes.margins.basis import DEFAULT, NONE, DesignBasis, Environment, force_ends, sliding_force_bounds
 from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.row import HIGH, LOW
@@ -235,8 +235,7 @@ def _laplace(
     model = DeviceModel(2, read_priors("afc"), effects=effects_named(effects))
     posterior = make_posterior(runs, model)
     if effects in tops:
-        law = LawOnly(posterior)
-        z = descend(law, tops[effects], float(np.std(law.residual(tops[effects]))))
+        z = descend(posterior, tops[effects], float(np.std(law_residual(posterior, tops[effects]))))
         posterior = posterior.refined(model.natural(np.concatenate([z, np.zeros(len(model.names) - z.size)])[None])[0])
         top = best_noise(posterior, z)
         spread = curvature(posterior, top)

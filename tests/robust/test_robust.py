@@ -73,10 +73,10 @@ def test_the_same_seed_makes_the_same_combination():
 
 
 def test_a_breach_is_counted_and_can_be_made_again():
-    rows = [{"number": 3, "case": "", "fit": f"{BREACH} LinAlgError at scene.py:9: x"}, {"number": 4, "fit": DONE}]
+    rows = [{"number": 3, "case": "", "fit": f"{BREACH} LinAlgError at data.py:9: x"}, {"number": 4, "fit": DONE}]
     words = table(rows)
     assert "2 cases, 1 breaches" in words
-    assert "LinAlgError at scene.py:9" in words
+    assert "LinAlgError at data.py:9" in words
     assert "(case 3)" in words
 
 

@@ -128,6 +128,15 @@ class Posterior:
         part = self.averages[run - 1]
         return part.residual_and_slope(self.model.force(theta, part.history, part.start_force_kN))
 
+    def law_residuals(self, z: FloatArray) -> FloatArray:
+        """Residual of all blocks beside a constant of each run, for parameters of the law, (m, n_law) to (m, n), kN."""
+        theta, out = self.model.natural_of_law(z), []
+        for run, part in enumerate(self.averages, start=1):
+            own = self.residual_and_slope(theta, run)[0]
+            share = part.count / max(float(part.count.sum()), 1.0)
+            out.append(np.where(part.count > 0, own - (own @ share)[:, None], 0.0))
+        return np.concatenate(out, axis=1)
+
     def log_likelihood_by_half_cycle(self, theta: FloatArray) -> FloatArray:
         """Log likelihood of each half-cycle given those before it, shape (m, d) to (m, n_half of all runs)."""
         ends = np.cumsum([part.timing.half.size - 1 for part in self.averages])

@@ -23,28 +23,12 @@ Z_LIMIT = 12.0  # of the standardised parameters
 N_STARTS = 5
 
 
-@dataclass(frozen=True, eq=False)
-class LawOnly:
-    """A posterior as least squares sees it: the parameters of its law, and the residual of its blocks."""
-
-    posterior: Posterior  # what is fitted
-
-    def residual(self, z: FloatArray) -> FloatArray:
-        """Residual of all blocks, shape (n,), kN."""
-        return np.asarray(self.residuals(z[None])[0])
-
-    def residuals(self, z: FloatArray) -> FloatArray:
-        """Residual of all blocks beside a constant of each run, for many parameter sets, (m, n_law) to (m, n), kN."""
-        theta = self.posterior.model.natural_of_law(z)
-        out = []
-        for run, part in enumerate(self.posterior.averages, start=1):
-            own = self.posterior.residual_and_slope(theta, run)[0]
-            share = part.count / max(float(part.count.sum()), 1.0)
-            out.append(np.where(part.count > 0, own - (own @ share)[:, None], 0.0))
-        return np.concatenate(out, axis=1)
+def law_residual(posterior: Posterior, z: FloatArray) -> FloatArray:
+    """Residual of all blocks beside a constant of each run at parameters of the law, shape (n_law,) to (n,), kN."""
+    return np.asarray(posterior.law_residuals(z[None])[0])
 
 
-def descend(law: LawOnly, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -> FloatArray:
+def descend(posterior: Posterior, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -> FloatArray:
     """Go from `z` (unbounded, shape (n_law,)) to where squares and priors are least, in so many rounds at most.
 
     `sigma_kN` is the noise scale against which the priors count.
@@ -52,10 +36,10 @@ def descend(law: LawOnly, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -
 
     def misfit(z: FloatArray) -> FloatArray:
         inside = np.clip(z, -Z_LIMIT, Z_LIMIT)
-        return np.concatenate([law.residual(inside) / sigma_kN, z])
+        return np.concatenate([law_residual(posterior, inside) / sigma_kN, z])
 
     def slope(z: FloatArray) -> FloatArray:
-        return np.vstack([jacobian(law, np.clip(z, -Z_LIMIT, Z_LIMIT)) / -sigma_kN, np.eye(z.size)])
+        return np.vstack([jacobian(posterior, np.clip(z, -Z_LIMIT, Z_LIMIT)) / -sigma_kN, np.eye(z.size)])
 
     with np.errstate(over="ignore", invalid="ignore"):
         if not np.isfinite(misfit(z)).all():
@@ -64,14 +48,14 @@ def descend(law: LawOnly, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -
     return np.clip(found.x, -Z_LIMIT, Z_LIMIT) if np.isfinite(found.cost) else z
 
 
-def jacobian(law: LawOnly, z: FloatArray) -> FloatArray:
+def jacobian(posterior: Posterior, z: FloatArray) -> FloatArray:
     """Give the derivatives of the force after the unbounded law parameters, shape (n, n_law), 0 without evidence."""
-    before = law.residual(z)
+    before = law_residual(posterior, z)
     columns = []
     for i in range(z.size):
         moved = z.copy()
         moved[i] += STEP
-        columns.append((before - law.residual(moved)) / STEP)
+        columns.append((before - law_residual(posterior, moved)) / STEP)
     return np.stack(columns, axis=1)
 
 
@@ -81,12 +65,12 @@ def cost(residual: FloatArray, z: FloatArray, sigma_kN: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def best_of(law: LawOnly, starts: Sequence[FloatArray], sigma_kN: float) -> FloatArray:
+def best_of(posterior: Posterior, starts: Sequence[FloatArray], sigma_kN: float) -> FloatArray:
     """Descend from several starts: all for a few steps, the best two to the end; give the better end."""
-    short = [descend(law, z, sigma_kN, rounds=4) if len(starts) > 2 else z for z in starts]
-    costs = [cost(law.residual(z), z, sigma_kN) for z in short]
-    ends = [descend(law, short[i], sigma_kN) for i in np.argsort(costs, kind="stable")[:2]]
-    return ends[int(np.argmin([cost(law.residual(end), end, sigma_kN) for end in ends]))]
+    short = [descend(posterior, z, sigma_kN, rounds=4) if len(starts) > 2 else z for z in starts]
+    costs = [cost(law_residual(posterior, z), z, sigma_kN) for z in short]
+    ends = [descend(posterior, short[i], sigma_kN) for i in np.argsort(costs, kind="stable")[:2]]
+    return ends[int(np.argmin([cost(law_residual(posterior, end), end, sigma_kN) for end in ends]))]
 
 
 def extended(z: FloatArray, smaller: DeviceModel, larger: DeviceModel, effect: Effect) -> list[FloatArray]:
@@ -99,19 +83,21 @@ def extended(z: FloatArray, smaller: DeviceModel, larger: DeviceModel, effect: E
     ]
 
 
-def promising(law: LawOnly, before: FloatArray, slopes: FloatArray, starts: Sequence[FloatArray]) -> list[FloatArray]:
+def promising(
+    posterior: Posterior, before: FloatArray, slopes: FloatArray, starts: Sequence[FloatArray]
+) -> list[FloatArray]:
     """Choose at most `N_STARTS` starts, shape (n_law,): those whose change of the force goes best with the residual.
 
     A moment in time or a wave length has a narrow basin; its grid is scanned to first order, not descended from. The
-    last effect of `law` is the new one. What the parameters without it can follow, by their `slopes`, shape (n, k),
+    last effect of the model is the new one. What the parameters without it can follow, by their `slopes`, shape (n, k),
     counts for none in the residual `before`, shape (n,), kN.
     """
     if len(starts) <= N_STARTS:
         return list(starts)
-    changes = np.stack([before - law.residual(z) for z in starts], axis=1)
+    changes = np.stack([before - law_residual(posterior, z) for z in starts], axis=1)
     own = orthogonal_to(slopes, changes)
     along = own.T @ before / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
-    size = law.posterior.model.effects[-1].parameters[0]
+    size = posterior.model.effects[-1].parameters[0]
     score = np.abs(along) if size.either_sign else along  # a size of one sign must go along
     return [starts[i] for i in np.argsort(-score, kind="stable")[:N_STARTS]]
 
@@ -192,9 +178,9 @@ def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatAr
     posterior with blocks that follow the bends of its force, and its top; `InferenceError` if no parameters give a
     finite density.
     """
-    model, law = posterior.model, LawOnly(posterior)
+    model = posterior.model
     candidates = [*tops, *law_starts(posterior)]
-    sizes = [float(np.std(law.residual(z))) for z in candidates]
+    sizes = [float(np.std(law_residual(posterior, z))) for z in candidates]
     theta = model.natural_of_law(candidates[int(np.argmin(sizes))][None])[0]
     refined = started(posterior, theta).refined(theta)
     n = n_threads(threads)
@@ -256,24 +242,21 @@ def law_starts(posterior: Posterior) -> list[FloatArray]:
 
 def _best_laws(posterior: Posterior) -> list[FloatArray]:
     """Take the best laws of a coarse grid to where the squares are least, best first; the model has no effects."""
-    law = LawOnly(posterior)
     grid = _grid(posterior)
     with np.errstate(over="ignore", invalid="ignore"):
-        scores = [np.sum(law.residuals(grid[i : i + CHUNK]) ** 2, axis=1) for i in range(0, len(grid), CHUNK)]
+        scores = [np.sum(posterior.law_residuals(grid[i : i + CHUNK]) ** 2, axis=1) for i in range(0, len(grid), CHUNK)]
     order = np.argsort(np.concatenate(scores), kind="stable")
-    ends = [
-        descend(law, np.clip(z, -8.0, 8.0), max(float(np.std(law.residual(z))), 1e-9)) for z in grid[order[:N_DESCENTS]]
-    ]
-    return sorted(ends, key=lambda z: float(np.sum(law.residual(z) ** 2)))
+    near = [np.clip(z, -8.0, 8.0) for z in grid[order[:N_DESCENTS]]]
+    ends = [descend(posterior, z, max(float(np.std(law_residual(posterior, z))), 1e-9)) for z in near]
+    return sorted(ends, key=lambda z: float(np.sum(law_residual(posterior, z) ** 2)))
 
 
 def _with_next_effect(smaller: Posterior, larger: Posterior, z: FloatArray) -> FloatArray:
     """Least squares of a model with one more effect, from the best of the smaller one."""
-    before, after = LawOnly(smaller), LawOnly(larger)
     effect = larger.model.effects[-1]
-    residual, slopes = before.residual(z), jacobian(before, z)
-    starts = promising(after, residual, slopes, extended(z, smaller.model, larger.model, effect))
-    return best_of(after, starts, max(float(np.std(residual)), 1e-9))
+    residual, slopes = law_residual(smaller, z), jacobian(smaller, z)
+    starts = promising(larger, residual, slopes, extended(z, smaller.model, larger.model, effect))
+    return best_of(larger, starts, max(float(np.std(residual)), 1e-9))
 
 
 def _grid(posterior: Posterior) -> FloatArray:
@@ -303,8 +286,8 @@ def _grid(posterior: Posterior) -> FloatArray:
 
 def _best_noise(posterior: Posterior, z: FloatArray) -> FloatArray:
     """Complete law parameters with the most probable noise parameters of a grid around the size of the residual."""
-    model, law = posterior.model, LawOnly(posterior)
-    size = max(float(np.std(law.residual(z))), 1e-9)
+    model = posterior.model
+    size = max(float(np.std(law_residual(posterior, z))), 1e-9)
     grids = {
         "sigma": np.array([0.5, 1.0, 2.0]) * size,
         "sigma_white": np.array([0.3, 1.0, 3.0, 10.0]) * size,

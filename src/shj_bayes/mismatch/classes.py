@@ -123,7 +123,7 @@ def _without_formula(name: str, unit: str, weight: float = 1.0) -> Dependence:
     return Dependence("capacity", name, unit, variants)
 
 
-def candidates(scene: BinnedData, state: Laplace, of: tuple[Dependence, ...]) -> list[Candidate]:
+def candidates(data: BinnedData, state: Laplace, of: tuple[Dependence, ...]) -> list[Candidate]:
     """Everything that could be added to a model, one at a time, with the columns of the first order."""
     out = []
     for one in of:
@@ -133,11 +133,11 @@ def candidates(scene: BinnedData, state: Laplace, of: tuple[Dependence, ...]) ->
                 n, step = len(variant.effect.parameters), 1e-2
                 zero = np.concatenate([state.z, np.zeros(n)])
                 points = zero + step * np.eye(n, zero.size, state.z.size)
-                columns = (state.residual - scene.residual(model, points)).T / step
+                columns = (state.residual - data.residual(model, points)).T / step
                 out.append(Candidate(one, variant, zero, columns, model))
                 continue
             starts = np.array(extended(state.z, state.model, model, variant.effect))
-            changes = (state.residual - scene.residual(model, starts)).T
+            changes = (state.residual - data.residual(model, starts)).T
             finite = np.all(np.isfinite(changes), axis=0) & np.any(changes != 0.0, axis=0)
             out += [Candidate(one, variant, starts[i], changes[:, i : i + 1], model) for i in np.flatnonzero(finite)]
     return out

@@ -65,7 +65,7 @@ def effects(out: Search, answer: Answer, draws: Draws) -> tuple[EffectRecord, ..
         units = {p.name: p.unit for p in effect.parameters}
         told: dict[str, Any] = {}
         if finding.member.variant.curve is not None:
-            own, told = _following(finding.member.variant.curve, own, out.scene.measured)
+            own, told = _following(finding.member.variant.curve, own, out.data.measured)
         # A mean lies beyond what fits where a size is hardly known.
         middle = {key: float(np.median(values)) for key, values in own.items()}
         found.append(
@@ -81,7 +81,7 @@ def effects(out: Search, answer: Answer, draws: Draws) -> tuple[EffectRecord, ..
                 partial=answer.verdict is DiagnosisVerdict.UNKNOWN,
                 probability=finding.probability * finding.names[0][1],
                 rivals=tuple(name for name in rivals(out, answer, finding) if name != effect.mechanism),
-                size_kN=finding.size * out.scene.scale_kN,
+                size_kN=finding.size * out.data.scale_kN,
                 parameters={name: EffectParameter(**spread(own[name]), unit=units.get(name, "1")) for name in own},
             )
         )
@@ -107,7 +107,7 @@ def _chatter(out: Search, answer: Answer, chatter: Chatter) -> EffectRecord:
         shows=SHOWS,
         partial=answer.verdict is DiagnosisVerdict.UNKNOWN,
         probability=SURE,
-        size_kN=chatter.size * out.scene.scale_kN,
+        size_kN=chatter.size * out.data.scale_kN,
         parameters={"size": EffectParameter(**spread(chatter.of_strokes), unit="1")},
     )
 
@@ -152,7 +152,7 @@ def mechanisms(out: Search, answer: Answer, name: str) -> list[str]:
             if member.of.id == name and member.variant.curve is None:
                 return [member.variant.effect.mechanism]
     of = out.fitter.classes[name]
-    if of.coordinate in out.scene.measured:
+    if of.coordinate in out.data.measured:
         return [of.coordinate]
     known = [e for e in catalogue().values() if (of.action, of.coordinate) in e.acts and not e.form]
     return [e.id for e in known if e.id not in out.fitter.hidden]
@@ -248,7 +248,7 @@ def unknown(out: Search, answer: Answer) -> Unknown | None:
     if answer.verdict is not DiagnosisVerdict.UNKNOWN:
         return None
     strange = [f for f in answer.findings if not f.named]
-    fy = out.scene.scale_kN
+    fy = out.data.scale_kN
     if answer.reason is Reason.NO_FORM and strange:
         finding = strange[0]
         band = curve_band(out, finding)
@@ -269,8 +269,8 @@ def unknown(out: Search, answer: Answer) -> Unknown | None:
             size_kN=finding.size * fy,
         )
     residual = answer.shown.state.residual
-    rows, coordinate = _profile(out.scene, residual)
-    size = max(answer.left_over * fy, float(np.sqrt(np.mean(residual[out.scene.used > 0] ** 2))))
+    rows, coordinate = _profile(out.data, residual)
+    size = max(answer.left_over * fy, float(np.sqrt(np.mean(residual[out.data.used > 0] ** 2))))
     return Unknown(coordinate=coordinate, shape=rows, size_kN=size)
 
 
@@ -286,18 +286,18 @@ def _mirrored(action: str) -> float:
     return -1.0 if action == "capacity" else 1.0
 
 
-def _profile(scene: BinnedData, residual: FloatArray, n: int = 24) -> tuple[Shape, str]:
+def _profile(data: BinnedData, residual: FloatArray, n: int = 24) -> tuple[Shape, str]:
     """Mean residual over the coordinate over which it is most regular, push and pull."""
     best: tuple[float, Shape, str] | None = None
-    sense = scene.channel("direction")
+    sense = data.channel("direction")
     for name, word in (("position_mm", "position"), ("slip_mm", "slip since reversal"), ("travel_m", "travel"),
                        ("speed_mm_s", "speed")):  # fmt: skip
-        values = scene.channel(name)
+        values = data.channel(name)
         edges = np.linspace(values.min(), values.max() * (1 + 1e-9) + 1e-9, n + 1)
         index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, n - 1)
         means, taken = [], 0.0
         for sign in (1.0, -1.0):
-            own = (np.sign(sense) == sign) & (scene.used > 0)
+            own = (np.sign(sense) == sign) & (data.used > 0)
             count = np.bincount(index[own], minlength=n)
             total = np.bincount(index[own], weights=residual[own], minlength=n)
             taken += float(np.sum(total**2 / np.maximum(count, 1)))
@@ -313,11 +313,11 @@ def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def quality(scene: BinnedData, state: Laplace, noise_kN: float, held: HeldOut) -> FitQuality:
+def quality(data: BinnedData, state: Laplace, noise_kN: float, held: HeldOut) -> FitQuality:
     """Say how well a model fits: residual, noise, held-out residual (kN), energy per cycle (per cent)."""
-    used = scene.used > 0
-    measured = energy_of(scene, scene.measured_kN)
-    modelled = energy_of(scene, scene.measured_kN - state.residual)
+    used = data.used > 0
+    measured = energy_of(data, data.measured_kN)
+    modelled = energy_of(data, data.measured_kN - state.residual)
     wrong = np.abs(modelled - measured) / np.maximum(np.abs(measured), 1e-300)
     return FitQuality(
         rmse_kN=float(np.sqrt(np.mean(state.residual[used] ** 2))),
@@ -327,18 +327,18 @@ def quality(scene: BinnedData, state: Laplace, noise_kN: float, held: HeldOut) -
     )
 
 
-def energy_of(scene: BinnedData, force_kN: FloatArray) -> FloatArray:
+def energy_of(data: BinnedData, force_kN: FloatArray) -> FloatArray:
     """Energy of each cycle, J (kN mm), by the trapezoid rule over the displacement."""
-    cycle = cycles_of(scene)
-    work = np.append((force_kN[1:] + force_kN[:-1]) / 2 * np.diff(scene.channel("position_mm")), 0.0)
+    cycle = cycles_of(data)
+    work = np.append((force_kN[1:] + force_kN[:-1]) / 2 * np.diff(data.channel("position_mm")), 0.0)
     work[np.flatnonzero(np.diff(cycle))] = 0.0  # the step from one cycle, or run, to the next
     return np.asarray(np.bincount(cycle, weights=work), dtype=np.float64)
 
 
-def energy(scene: BinnedData, base: Laplace, shown: Laplace) -> EnergyRecord:
+def energy(data: BinnedData, base: Laplace, shown: Laplace) -> EnergyRecord:
     """Energy of each cycle, measured and modelled before and after, J."""
-    forces = scene.measured_kN, scene.measured_kN - base.residual, scene.measured_kN - shown.residual
-    measured, before, after = (tuple(energy_of(scene, force).tolist()) for force in forces)
+    forces = data.measured_kN, data.measured_kN - base.residual, data.measured_kN - shown.residual
+    measured, before, after = (tuple(energy_of(data, force).tolist()) for force in forces)
     cycle = tuple(float(i) for i in range(1, len(measured) + 1))
     return EnergyRecord(cycle=cycle, measured_J=measured, before_J=before, after_J=after)
 
@@ -420,7 +420,7 @@ def candidates(shown: Proven) -> tuple[CandidateRecord, ...]:
                 score=float(gains[name]),
                 elpd_gain=float(gains[name]),
                 probability=float(answer.inclusion.get(name, 0.0)),
-                size_kN=kept[effect.id] * out.scene.scale_kN if effect.id in kept else sizes.get(name, 0.0),
+                size_kN=kept[effect.id] * out.data.scale_kN if effect.id in kept else sizes.get(name, 0.0),
                 kept=effect.id in kept,
                 reason="does not improve cycles that were left out"
                 if name in dropped
@@ -442,20 +442,20 @@ def _why(effect: Effect, name: str, kept: Mapping[str, float], answer: Answer, g
     return "explained by what was kept" if answer.findings else "too small, or too improbable, to matter"
 
 
-def channels(scene: BinnedData, base: Laplace, shown: Laplace) -> xr.Dataset:
+def channels(data: BinnedData, base: Laplace, shown: Laplace) -> xr.Dataset:
     """Measured and modelled force over all that a page draws."""
     names = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m")
-    data: dict[str, Any] = {name: ("sample", scene.channel(name)) for name in names}
-    data |= {
-        "direction": ("sample", np.sign(scene.channel("direction"))),
-        "run": ("sample", run_of(scene).astype(np.float64)),
-        "block": ("sample", cycles_of(scene).astype(np.float64)),
-        "weight": ("sample", scene.used),
-        "force_kN": ("sample", scene.measured_kN),
-        "before_kN": ("sample", scene.measured_kN - base.residual),
-        "after_kN": ("sample", scene.measured_kN - shown.residual),
+    table: dict[str, Any] = {name: ("sample", data.channel(name)) for name in names}
+    table |= {
+        "direction": ("sample", np.sign(data.channel("direction"))),
+        "run": ("sample", run_of(data).astype(np.float64)),
+        "block": ("sample", cycles_of(data).astype(np.float64)),
+        "weight": ("sample", data.used),
+        "force_kN": ("sample", data.measured_kN),
+        "before_kN": ("sample", data.measured_kN - base.residual),
+        "after_kN": ("sample", data.measured_kN - shown.residual),
     }
-    return xr.Dataset(data, attrs={"schema": SCHEMA})
+    return xr.Dataset(table, attrs={"schema": SCHEMA})
 
 
 def draws_of(state: Laplace, seed: int, n: int = 2000) -> dict[str, FloatArray]:

@@ -252,47 +252,47 @@ class ErrorParameters:
     model_error_kN: float  # size of the discrepancy
     at_rest: float = 0.0  # logarithm of the standard deviation of the noise at low speed over that at high speed
 
-    def values(self, scene: BinnedData) -> dict[str, float]:
+    def values(self, data: BinnedData) -> dict[str, float]:
         """Parameters of the noise model in their units, by name."""
-        laws = scene.device.laws_of_parameters[scene.device.n_law :]
+        laws = data.device.laws_of_parameters[data.device.n_law :]
         return {law.name: float(law.from_free(np.asarray(v))) for law, v in zip(laws, self.z, strict=True)}
 
-    def size_kN(self, scene: BinnedData) -> float:
+    def size_kN(self, data: BinnedData) -> float:
         """Give the standard deviation of the noise where it is roughest, on averages over `AVERAGED_S`, kN."""
-        return max(1.0, math.exp(self.at_rest)) * math.hypot(*scene.parts_kN(self.values(scene)))
+        return max(1.0, math.exp(self.at_rest)) * math.hypot(*data.parts_kN(self.values(data)))
 
-    def log_prior(self, scene: BinnedData) -> float:
+    def log_prior(self, data: BinnedData) -> float:
         """Log prior density, but for a constant."""
-        relative = self.model_error_kN / (MODEL_ERROR * scene.scale_kN)
+        relative = self.model_error_kN / (MODEL_ERROR * data.scale_kN)
         return math.log(relative) - 0.5 * (float(np.dot(self.z, self.z)) + relative**2 + (self.at_rest / ROUGHER) ** 2)
 
-    def sizes(self, scene: BinnedData) -> FloatArray:
+    def sizes(self, data: BinnedData) -> FloatArray:
         """Size before the test of each column of `BinnedData.missed`, shape (p + 1 + 2 n_runs,)."""
-        discrepancy = np.full(scene.discrepancy.shape[1], self.model_error_kN)
-        return np.concatenate([discrepancy, [1.0], scene.start_mm, scene.zero_kN])
+        discrepancy = np.full(data.discrepancy.shape[1], self.model_error_kN)
+        return np.concatenate([discrepancy, [1.0], data.start_mm, data.zero_kN])
 
-    def whitened(self, scene: BinnedData, columns: FloatArray, slope: FloatArray) -> tuple[FloatArray, float]:
+    def whitened(self, data: BinnedData, columns: FloatArray, slope: FloatArray) -> tuple[FloatArray, float]:
         """Columns in units of what is new in the noise of each block, and the log density of data that are all 0.
 
         The latter holds the prior of the noise. `slope`, shape (n,), is that of the modelled force in each block,
         through which the error of the displacement acts, kN/mm.
         """
-        values, more = self.values(scene), rougher(self.at_rest, scene.slow)
+        values, more = self.values(data), rougher(self.at_rest, data.slow)
         out, total, first = [], 0.0, 0
-        for part, timing in zip(scene.posterior.averages, scene.timings, strict=True):
+        for part, timing in zip(data.posterior.averages, data.timings, strict=True):
             own = slice(first, first + part.n)
-            white, log_det = whiten(scene.device.noise, values, columns[own], slope[own], timing, more[own])
+            white, log_det = whiten(data.device.noise, values, columns[own], slope[own], timing, more[own])
             out.append(white)
             total, first = total + log_det, first + part.n
         white = np.concatenate(out)
-        return white, self.log_prior(scene) - 0.5 * (white.shape[0] * LOG_2PI + total)
+        return white, self.log_prior(data) - 0.5 * (white.shape[0] * LOG_2PI + total)
 
-    def at_most(self, scene: BinnedData, most_kN: float) -> ErrorParameters:
+    def at_most(self, data: BinnedData, most_kN: float) -> ErrorParameters:
         """Give the same noise, smaller where its size is more than this."""
-        size = self.size_kN(scene)
+        size = self.size_kN(data)
         if size <= most_kN:
             return self
-        laws = scene.device.laws_of_parameters[scene.device.n_law :]
+        laws = data.device.laws_of_parameters[data.device.n_law :]
         smaller = (
             float(law.to_free(law.from_free(np.asarray(z)) * most_kN / size)) if law.unit == "kN" else z
             for law, z in zip(laws, self.z, strict=True)
@@ -305,7 +305,7 @@ class ErrorModel:
 
     Parameters
     ----------
-    scene : BinnedData
+    data : BinnedData
         The recordings.
     setting : ErrorParameters
         Noise and discrepancy.
@@ -324,26 +324,26 @@ class ErrorModel:
     """
 
     def __init__(
-        self, scene: BinnedData, setting: ErrorParameters, slope: FloatArray, counts: BoolArray | None = None
+        self, data: BinnedData, setting: ErrorParameters, slope: FloatArray, counts: BoolArray | None = None
     ) -> None:
-        self.scene, self.setting, self.slope, self.counts = scene, setting, slope, counts
-        self.missed = scene.missed(slope)
-        white, constant = setting.whitened(scene, self.missed, slope)
-        self.other = self._counted(white) * setting.sizes(scene)
+        self.data, self.setting, self.slope, self.counts = data, setting, slope, counts
+        self.missed = data.missed(slope)
+        white, constant = setting.whitened(data, self.missed, slope)
+        self.other = self._counted(white) * setting.sizes(data)
         self._missed = Gaussian(0.0, np.zeros(white.shape[1]), self.other.T @ self.other, constant)
         self.log_constant = self._missed.log_evidence
         self._known: dict[Hashable, tuple[FloatArray, FloatArray]] = {}
 
     def without(self, rows: BoolArray) -> ErrorModel:
         """Give the same metric for a fit that does not see some of the evidence, `rows` of shape (n_evidence,)."""
-        return ErrorModel(self.scene, self.setting, self.slope, ~rows)
+        return ErrorModel(self.data, self.setting, self.slope, ~rows)
 
     def _counted(self, white: FloatArray) -> FloatArray:
         return white if self.counts is None else white * self.counts[:, None]
 
     def whitened(self, columns: FloatArray) -> FloatArray:
         """Columns in units of what is new in the noise of each block, shapes (n, p) to (n_evidence, p)."""
-        return self._counted(self.setting.whitened(self.scene, columns, self.slope)[0])
+        return self._counted(self.setting.whitened(self.data, columns, self.slope)[0])
 
     def products(self, columns: FloatArray) -> FloatArray:
         """Scalar products of columns, shape (n, p) to (p, p); kN of a column count by what they stand out."""
@@ -357,27 +357,27 @@ class ErrorModel:
     @property
     def fluctuation(self) -> float:
         """Size of the noise as a share of Fy; see `ErrorParameters.size_kN`."""
-        return self.setting.size_kN(self.scene) / self.scene.scale_kN
+        return self.setting.size_kN(self.data) / self.data.scale_kN
 
     @property
     def is_rough(self) -> bool:
         """Whether the force fluctuates by more than the noise of a load cell."""
-        return self.setting.size_kN(self.scene) > self.scene.noise_most_kN
+        return self.setting.size_kN(self.data) > self.data.noise_most_kN
 
     @property
     def is_capped(self) -> bool:
         """Whether the noise would be larger than that of a load cell if it could: what is left is no smooth curve."""
-        return self.setting.size_kN(self.scene) > 0.999 * self.scene.noise_most_kN
+        return self.setting.size_kN(self.data) > 0.999 * self.data.noise_most_kN
 
     @property
     def is_slow(self) -> bool:
         """Whether most of the noise is remembered for longer than a half-cycle lasts."""
-        history = self.scene.posterior.averages[0].history
+        history = self.data.posterior.averages[0].history
         lasts = np.array([history.time_s[-1] / history.motion.n_half])
-        noise = self.setting.values(self.scene)
+        noise = self.setting.values(self.data)
         rows = {name: np.array([value]) for name, value in noise.items()}
-        left = float(self.scene.device.noise.decay(rows, lasts, self.scene.step_s)[0, 0])
-        white, slow = self.scene.parts_kN(noise)
+        left = float(self.data.device.noise.decay(rows, lasts, self.data.step_s)[0, 0])
+        white, slow = self.data.parts_kN(noise)
         return left * slow**2 > math.exp(-1.0) * (slow**2 + white**2)
 
     def factors(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -414,12 +414,12 @@ class ErrorModel:
     def _parts_of(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Give what the discrepancy takes up of a residual, and what the others do that are integrated out, kN."""
         mean = self._missed.solve(self.other.T @ self.whitened(residual[:, None])[:, 0])
-        mean *= self.setting.sizes(self.scene)
-        n = self.scene.discrepancy.shape[1]
-        return self.scene.discrepancy @ mean[:n], self.missed[:, n:] @ mean[n:]
+        mean *= self.setting.sizes(self.data)
+        n = self.data.discrepancy.shape[1]
+        return self.data.discrepancy @ mean[:n], self.missed[:, n:] @ mean[n:]
 
 
-def scene_of(runs: Sequence[Run], device: DeviceModel) -> BinnedData:
+def data_of(runs: Sequence[Run], device: DeviceModel) -> BinnedData:
     """Average consecutive runs of a device in blocks that follow the bends of its base model."""
     posterior = make_posterior(runs, device)
     posterior = started(posterior, device.natural_of_law(law_starts(posterior)[0][None])[0])

@@ -15,7 +15,7 @@ from shj_bayes.inference.run import Run
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch import content
 from shj_bayes.mismatch.classes import classes
-from shj_bayes.mismatch.data import ErrorModel, scene_of
+from shj_bayes.mismatch.data import ErrorModel, data_of
 from shj_bayes.mismatch.evidence import evidence_of
 from shj_bayes.mismatch.heldout import Proven, proven
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace, laplace_under
@@ -87,8 +87,8 @@ def diagnose(
     device = replace(device, speed="velocity" not in look.without)
     effects_named(look.without)
     hidden = look.hidden(device)
-    scene = scene_of(runs, device)
-    out = search(scene, classes(hidden, scene.measured), hidden, tell)
+    data = data_of(runs, device)
+    out = search(data, classes(hidden, data.measured), hidden, tell)
     tell("weighing what was found")
     shown = proven(out, tell)
     out, answer = shown.out, shown.answer
@@ -134,8 +134,8 @@ def _models(shown: Proven, seed: int) -> _Models:
     """Fit the base law alone, and count what an answer leaves out."""
     out, answer, fine = shown.out, shown.answer, shown.fine
     base, setting = out.found[frozenset()].state, out.metric.setting
-    alone = find_noise(out.scene, base, np.zeros((base.residual.size, 0)), setting)
-    law = laplace(out.scene, ErrorModel(out.scene, alone, base.slope), base.model, base.z)
+    alone = find_noise(out.data, base, np.zeros((base.residual.size, 0)), setting)
+    law = laplace(out.data, ErrorModel(out.data, alone, base.slope), base.model, base.z)
     under, first = laplace_under(fine, alone, law.model, law.z)
     draws = content.draws_of(first, seed)
     if not answer.findings:
@@ -151,7 +151,7 @@ def _said(shown: Proven, models: _Models, draws: content.Draws) -> dict[str, Any
     """Give what a search found, as fields of the record."""
     out, answer, fine, both = shown.out, shown.answer, shown.fine, (shown.before, shown.after)
     noise = float(np.sqrt(np.mean(shown.after.residual[fine.used > 0] ** 2)))
-    regions = regions_of(out.scene, ErrorModel(out.scene, out.metric.setting, models.law.slope), models.law)
+    regions = regions_of(out.data, ErrorModel(out.data, out.metric.setting, models.law.slope), models.law)
     return {
         "verdict": answer.verdict,
         "reason": answer.reason.value,
@@ -169,8 +169,8 @@ def _said(shown: Proven, models: _Models, draws: content.Draws) -> dict[str, Any
         "after": content.quality(fine, shown.after, noise, shown.held[1]),
         "heldout": content.heldout(shown),
         "shift": content.shift(models.draws_before, draws),
-        "aliases": tuple(aliases_of(out.scene)),
+        "aliases": tuple(aliases_of(out.data)),
         "candidates": content.candidates(shown),
         "energy": content.energy(fine, *both),
-        "fy_kN": out.scene.scale_kN,
+        "fy_kN": out.data.scale_kN,
     }

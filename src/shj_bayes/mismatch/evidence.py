@@ -48,7 +48,7 @@ def evidence_of(out: Search, answer: Answer) -> EvidenceRecord:
     first = _FirstOrder(out, plain, list(others.values()))
     for i, (name, c) in enumerate(others.items()):
         mean = first.mean(i)
-        sizes[name] = float(visible(out.scene, plain.state.jacobian, (first.columns[i] @ mean)[:, None])[0])
+        sizes[name] = float(visible(out.data, plain.state.jacobian, (first.columns[i] @ mean)[:, None])[0])
         if c.variant.curve is not None:
             ends = c.variant.curve.rows(np.array([0.0, 1.0]), np.ones(2)) @ mean
             changes[name] = 100.0 * (ends[1] - ends[0])

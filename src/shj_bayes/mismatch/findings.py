@@ -162,7 +162,7 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
     A class is left out where the upper limit of its size, exceeded with a probability of `ALPHA`, is too small. What is
     left is taken at its size in a fit without them: two classes that stand in for each other are both small.
     """
-    sizes = [largest_size_of(out.scene, h, i) / out.matters_of(h, i) for i in range(len(h.members))]
+    sizes = [largest_size_of(out.data, h, i) / out.matters_of(h, i) for i in range(len(h.members))]
     if min(sizes, default=math.inf) >= 1.0:
         return h.key
     rest = h.key - {h.members[int(np.argmin(sizes))].of.id}
@@ -177,7 +177,7 @@ def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozens
     Of its classes `key` matter. Gives the share of the probability for each set of classes; the one with the most
     evidence is in all of them.
     """
-    sizes = {m.of.id: size_of(out.scene, h, i) for i, m in enumerate(h.members) if m.of.id in key}
+    sizes = {m.of.id: size_of(out.data, h, i) for i, m in enumerate(h.members) if m.of.id in key}
     known = {name: out.found[h.key - {name}] for name in sizes if h.key - {name} in out.found}
     gains = {name: h.log_weight - out.best_within(rest.key) for name, rest in known.items()}
     order = gains if len(gains) == len(sizes) else sizes
@@ -208,7 +208,7 @@ def _missed_instead(out: Search, h: Hypothesis, rest: Hypothesis, larger: Mappin
         for of in (m.of for m in one.members if m.of.id in larger):
             over = out.fitter.classes.get(SLIP) if of.action == MOTION else of
             if over is not None and over.id not in drawn:
-                missed.append(missed_by(out.scene, one.state, over, larger[of.id]))
+                missed.append(missed_by(out.data, one.state, over, larger[of.id]))
         beside = one.state.beside(*(curves for curves in missed if curves is not None))
         weights.append(one.log_weight + metric.gaussian(beside).log_evidence - one.state.gaussian.log_evidence)
     return weights[0] - weights[1]
@@ -217,7 +217,7 @@ def _missed_instead(out: Search, h: Hypothesis, rest: Hypothesis, larger: Mappin
 def discrepancy_size(out: Search, state: Laplace) -> float:
     """Size of what the generic discrepancy takes up of a residual (99th percentile), as a share of Fy."""
     taken = out.metric.discrepancy_of(state.residual)
-    return float(visible(out.scene, state.jacobian, taken[:, None])[0])
+    return float(visible(out.data, state.jacobian, taken[:, None])[0])
 
 
 def _findings(
@@ -242,7 +242,7 @@ def _findings(
                 member,
                 inclusion[member.of.id],
                 h.log_weight - out.best_within(h.key - {member.of.id}),
-                size_of(out.scene, h, place),
+                size_of(out.data, h, place),
                 drawn.members[place] if drawn is not None else None,
                 drawn.state if drawn is not None else None,
                 place,
@@ -259,14 +259,14 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
     """
     best, score = h, out.best_within(h.key - {h.members[place].of.id})
     for new in following(out.fitter, h, place):
-        if new.log_weight > score and largest_size_of(out.scene, new, place) >= MIN_EFFECT:
+        if new.log_weight > score and largest_size_of(out.data, new, place) >= MIN_EFFECT:
             best, score = new, new.log_weight
     return best
 
 
 def _in_place_of(fitter: Fitter, h: Hypothesis, place: int, of: Dependence) -> list[Hypothesis]:
     """Give the hypotheses with a formula of another class in the place of a curve, most probable first."""
-    rest = fitter.fitted(*without(fitter.scene, h, place))
+    rest = fitter.fitted(*without(fitter.data, h, place))
     if rest is None:
         return []
     return fitter.all_fitted(((*rest.members, f), f) for f in fitter.forms_of(of, rest.members, rest.state.z))
@@ -280,7 +280,7 @@ def _as_curve(fitter: Fitter, h: Hypothesis, place: int) -> Hypothesis | None:
     member = h.members[place]
     if member.variant.curve is not None:
         return h
-    members, z = without(fitter.scene, h, place)
+    members, z = without(fitter.data, h, place)
     looked = fitter.candidates_of(member.of.id, curves=True)
     if not looked or any(same_twice(looked[0], m) for m in members):
         return None
@@ -288,7 +288,7 @@ def _as_curve(fitter: Fitter, h: Hypothesis, place: int) -> Hypothesis | None:
     if rest is None:
         return None
     best = screen(fitter.metric, rest.state, looked)[0]
-    first = columns_of(fitter.scene, h.state, place)[0]
+    first = columns_of(fitter.data, h.state, place)[0]
     start = np.insert(z, [first] * len(best.variant.effect.parameters), 0.0)
     return fitter.fitted(replaced(h, place, best), start)
 
@@ -303,12 +303,12 @@ def _split(out: Search, h: Hypothesis) -> Hypothesis:
         second = second_of(member)
         if second is None or second in h.key or second not in out.fitter.classes:
             continue
-        allowed = tolerance(out.scene, h, place)
+        allowed = tolerance(out.data, h, place)
         for one in _in_place_of(out.fitter, h, place, out.fitter.classes[second]):
-            if force_distance(out.scene, h, one) <= allowed:
+            if force_distance(out.data, h, one) <= allowed:
                 return one
         both = beside_direction(out, h, place).found.get(h.key | {second})
-        if both is not None and force_distance(out.scene, h, both) <= allowed:
+        if both is not None and force_distance(out.data, h, both) <= allowed:
             return both
     return h
 
@@ -328,7 +328,7 @@ def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tu
         new, name = out.fitter.fitted(replaced(h, place, form), form.start), form.variant.effect.id
         if new is None or (name in forms and new.log_weight <= forms[name].log_weight):
             continue
-        if name in forms or largest_size_of(out.scene, new, place) >= MIN_EFFECT:
+        if name in forms or largest_size_of(out.data, new, place) >= MIN_EFFECT:
             forms[name] = new
     whole = float(logsumexp([one.log_weight for one in forms.values()]))
     by_mechanism: dict[str, list[Hypothesis]] = {}
@@ -368,12 +368,12 @@ def curve_band(out: Search, f: FoundEffect, n: int = 61, direction: float = 1.0)
     if f.curve is None or f.curve_state is None or f.curve.variant.curve is None:
         return None
     curve, state = f.curve.variant.curve, f.curve_state
-    own = columns_of(out.scene, state, f.place)
+    own = columns_of(out.data, state, f.place)
     share = np.linspace(0.0, 1.0, n)
     mean, cov = state.z[own], state.covariance[np.ix_(own, own)]
     rows = curve.rows(share, np.full(n, direction))
     centre = rows @ mean
     half = SIGMA_90 * np.sqrt(np.einsum("ij,jk,ik->i", rows, cov, rows))
-    history = out.scene.posterior.averages[0].history
+    history = out.data.posterior.averages[0].history
     at = curve.over.value_of(share, history) if curve.period is None else curve.period * share
     return {"at": at, "mean": 100 * centre, "q05": 100 * (centre - half), "q95": 100 * (centre + half)}

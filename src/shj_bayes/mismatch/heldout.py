@@ -77,23 +77,23 @@ class Gain:
         return self.elpd > 0.0 and not self.is_worse
 
 
-def cycles_of(scene: BinnedData) -> NDArray[np.int64]:
+def cycles_of(data: BinnedData) -> NDArray[np.int64]:
     """Cycle of each block, counted through all runs; half-cycles where there are few cycles."""
-    blocks = [np.diff(part.timing.half) for part in scene.posterior.averages]  # of each half-cycle
+    blocks = [np.diff(part.timing.half) for part in data.posterior.averages]  # of each half-cycle
     n_half = [own.size for own in blocks]
     cycle = cycles_through(n_half, 2 if sum(n_half) // 2 >= FEW_CYCLES else 1)
     return np.repeat(cycle, np.concatenate(blocks))
 
 
-def held_out(scene: BinnedData, metric: ErrorModel, state: Laplace) -> HeldOut:
+def held_out(data: BinnedData, metric: ErrorModel, state: Laplace) -> HeldOut:
     """Predict cycles with a model that is fitted without them, from where it is with them, until it stands.
 
     Every eighth cycle is left out at a time, so that each is told from neighbours as in a test of other cycles. A
     prediction holds the error of the zero and what else is integrated out at its mean, but for the generic
     discrepancy, which is no prediction.
     """
-    cycle, evidence = cycles_of(scene), scene.used > 0
-    sizes = [part.n for part in scene.posterior.averages]
+    cycle, evidence = cycles_of(data), data.used > 0
+    sizes = [part.n for part in data.posterior.averages]
     first = np.isin(cycle, cycle[np.cumsum([0, *sizes[:-1]])])
     numbers, place = np.unique(np.where(first | ~evidence, -1, cycle), return_inverse=True)
     n_left = int(np.count_nonzero(numbers >= 0))
@@ -104,12 +104,12 @@ def held_out(scene: BinnedData, metric: ErrorModel, state: Laplace) -> HeldOut:
         left = (place >= 0) & (place % n_parts == part)
         rest = metric.without(left[evidence])
         try:
-            refit = laplace(scene, rest, state.model, state.z)
+            refit = laplace(data, rest, state.model, state.z)
             predicted = refit.residual - rest.integrated_out(refit.residual)
         except np.linalg.LinAlgError:  # no prediction without these cycles
             predicted = np.full(evidence.size, np.inf)
         residual[left] = predicted[left]
-        news = metric.setting.whitened(scene, np.nan_to_num(predicted[:, None], posinf=1e30), metric.slope)[0][:, 0]
+        news = metric.setting.whitened(data, np.nan_to_num(predicted[:, None], posinf=1e30), metric.slope)[0][:, 0]
         own = left[evidence]
         density += np.bincount(place[evidence][own], weights=-0.5 * news[own] ** 2, minlength=n_left)
     counted = place >= 0
@@ -181,7 +181,7 @@ def _less(out: Search, shown: Hypothesis, of: str) -> Search:
     found = {key: h for key, h in out.found.items() if of not in key}
     place = next(i for i, member in enumerate(shown.members) if member.of.id == of)
     if shown.key - {of} not in found:
-        members, z = without(out.scene, shown, place)
+        members, z = without(out.data, shown, place)
         fitted = out.fitter.fitted(members, z)
         rest = None if fitted is None else out.fitter.with_own_noise(fitted, out.metric.setting)
         found |= {} if rest is None else {rest.key: rest}
@@ -204,7 +204,7 @@ class _LeftOut:
     def of(cls, out: Search, answer: Answer) -> "_LeftOut":
         """Fit both, in blocks as fine as those of a fit, and leave cycles out."""
         h, base, setting = answer.shown, out.found[frozenset()].state, out.metric.setting
-        fine = out.scene.finer_at(h.state.model, h.state.z)
+        fine = out.data.finer_at(h.state.model, h.state.z)
         metric, before = laplace_under(fine, setting, base.model, base.z)
         if not answer.findings:
             alone = held_out(fine, metric, before)

@@ -33,16 +33,16 @@ class Hypothesis:
         return frozenset(member.of.id for member in self.members)
 
 
-def columns_of(scene: BinnedData, state: Laplace, place: int) -> list[int]:
+def columns_of(data: BinnedData, state: Laplace, place: int) -> list[int]:
     """Positions of the parameters of a member, in the place among its classes, in the vector of a model."""
-    effect = state.model.effects[len(scene.device.effects) + place]
+    effect = state.model.effects[len(data.device.effects) + place]
     return [i for i, name in enumerate(state.model.law_names) if name.startswith(f"{effect.id}.")]
 
 
-def without(scene: BinnedData, h: Hypothesis, place: int) -> tuple[tuple[Candidate, ...], FloatArray]:
+def without(data: BinnedData, h: Hypothesis, place: int) -> tuple[tuple[Candidate, ...], FloatArray]:
     """Members of a hypothesis less the one in a place, and where the rest of its model is."""
     members = (*h.members[:place], *h.members[place + 1 :])
-    return members, np.delete(h.state.z, columns_of(scene, h.state, place))
+    return members, np.delete(h.state.z, columns_of(data, h.state, place))
 
 
 def joined(h: Hypothesis, c: Candidate) -> FloatArray:
@@ -79,71 +79,71 @@ N_SIZES = 60  # draws from which the upper limit of a size is taken
 NO_FORCE = 1e6  # size of a draw whose force is not finite
 
 
-def size_of(scene: BinnedData, h: Hypothesis, place: int) -> float:
+def size_of(data: BinnedData, h: Hypothesis, place: int) -> float:
     """Size of a member at the most probable parameters, as a share of Fy.
 
     The 99th percentile of its force that the base law could not make, by `visible`; of a constant, all of it.
     """
-    return float(_sizes_at(scene, h, place, h.state.z[None])[0])
+    return float(_sizes_at(data, h, place, h.state.z[None])[0])
 
 
-def largest_size_of(scene: BinnedData, h: Hypothesis, place: int) -> float:
+def largest_size_of(data: BinnedData, h: Hypothesis, place: int) -> float:
     """Upper limit of the size of a member, exceeded with a probability of `ALPHA`, a share of Fy."""
-    return float(np.quantile(sizes_of(scene, h, place), 1.0 - ALPHA))
+    return float(np.quantile(sizes_of(data, h, place), 1.0 - ALPHA))
 
 
-def sizes_of(scene: BinnedData, h: Hypothesis, place: int) -> FloatArray:
+def sizes_of(data: BinnedData, h: Hypothesis, place: int) -> FloatArray:
     """Sizes of a member for draws of the parameters of its model, shape (N_SIZES,), as shares of Fy.
 
     Far from what fits a model may have no force at all; nothing says that the member is small there.
     """
-    return np.nan_to_num(_sizes_at(scene, h, place, drawn_from(h.state, N_SIZES)), nan=NO_FORCE, posinf=NO_FORCE)
+    return np.nan_to_num(_sizes_at(data, h, place, drawn_from(h.state, N_SIZES)), nan=NO_FORCE, posinf=NO_FORCE)
 
 
-def _sizes_at(scene: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
+def _sizes_at(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
     """Size of a member for each of some parameter sets of its model, shape (m, n_law) to (m,).
 
     What acts on the motion makes its force between the bends of the base law, where the blocks of a search are long. A
     constant is as large as it is: the law makes none, also where it begins loaded by it.
     """
     if h.members[place].of.id == CONSTANT:
-        return np.asarray(np.abs(_change(scene, h, place, z)[:, scene.used > 0]).max(axis=1) / scene.scale_kN)
+        return np.asarray(np.abs(_change(data, h, place, z)[:, data.used > 0]).max(axis=1) / data.scale_kN)
     if h.members[place].of.action == MOTION:
-        scene = scene.finer_at(h.state.model, h.state.z)
-    return visible(scene, _law_slopes(h, scene), _change(scene, h, place, z).T)
+        data = data.finer_at(h.state.model, h.state.z)
+    return visible(data, _law_slopes(h, data), _change(data, h, place, z).T)
 
 
-def _change(scene: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
+def _change(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
     """Force of a member for each of some parameter sets of its model, shape (m, n_law) to (m, n), kN."""
     model, effect = h.state.model, h.members[place].variant.effect
     rest = tuple(e for e in model.effects if e.id != effect.id)
-    others = np.delete(z, columns_of(scene, h.state, place), axis=1)
-    return scene.residual(model.with_effects(rest), others) - scene.residual(model, z)
+    others = np.delete(z, columns_of(data, h.state, place), axis=1)
+    return data.residual(model.with_effects(rest), others) - data.residual(model, z)
 
 
-def _law_slopes(h: Hypothesis, scene: BinnedData) -> FloatArray:
+def _law_slopes(h: Hypothesis, data: BinnedData) -> FloatArray:
     """Give the derivatives of the law by itself, shape (n, n_law), kN.
 
     Beside a constant of many times Fy, a change of Fy is a change of the constant.
     """
-    device, law = scene.device, h.state.of_law(scene.device)
-    return scene.jacobian(device, law, scene.residual(device, law[None])[0])
+    device, law = data.device, h.state.of_law(data.device)
+    return data.jacobian(device, law, data.residual(device, law[None])[0])
 
 
-def tolerance(scene: BinnedData, h: Hypothesis, place: int) -> float:
+def tolerance(data: BinnedData, h: Hypothesis, place: int) -> float:
     """How far a formula may be from a curve that it is the name of, a share of Fy.
 
     At most half of the curve: a formula that leaves more than it explains says nothing.
     """
-    size = size_of(scene, h, place)
+    size = size_of(data, h, place)
     return min(max(MIN_EFFECT, (1.0 - EXPLAINED) * size), 0.5 * size)
 
 
-def force_distance(scene: BinnedData, a: Hypothesis, b: Hypothesis) -> float:
+def force_distance(data: BinnedData, a: Hypothesis, b: Hypothesis) -> float:
     """How far the forces of two hypotheses are apart (99th percentile over the samples), as a share of Fy."""
-    used = scene.used > 0
+    used = data.used > 0
     apart = (b.state.residual - a.state.residual)[used, None]
-    return float(largest(apart, scene.count[used])[0]) / scene.scale_kN
+    return float(largest(apart, data.count[used])[0]) / data.scale_kN
 
 
 @dataclass(frozen=True)

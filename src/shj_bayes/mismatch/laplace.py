@@ -51,7 +51,7 @@ def drawn_from(state: Laplace, n: int, seed: int = 1) -> FloatArray:
 
 
 def laplace(
-    scene: BinnedData, metric: ErrorModel, model: DeviceModel, z: FloatArray, floor: float = -math.inf
+    data: BinnedData, metric: ErrorModel, model: DeviceModel, z: FloatArray, floor: float = -math.inf
 ) -> Laplace:
     """Go to the most probable parameters by steps of Gauss-Newton from `z`, shape (n_law,), and linearise there.
 
@@ -65,14 +65,14 @@ def laplace(
             return math.inf
         return float(metric.products(residual[:, None])[0, 0] + at @ at)
 
-    both = scene.residual_and_slope(model, z[None])
+    both = data.residual_and_slope(model, z[None])
     residual, slope = both[0][0], both[1][0]
     now, enough = height(residual, z), 2.0 * (metric.log_constant - floor)
     # Coefficients of curves act in proportion to their size: they may go far at once.
     unit = np.array([0.1 if law.either_sign else 1.0 for law in model.laws_of_parameters[: model.n_law]])
     reach = REACH
     for left in reversed(range(ROUNDS)):
-        columns = scene.jacobian(model, z, residual)
+        columns = data.jacobian(model, z, residual)
         linear = metric.gaussian(np.column_stack([residual + columns @ z, columns]))
         fall = linear.along - linear.precision @ z
         if float(fall @ linear.solve(fall)) < CLOSE:
@@ -83,7 +83,7 @@ def laplace(
             step = step_within(reach, along, curvature)
             goes = float(np.linalg.norm(step))
             trial = np.clip(z + (axes @ step) / unit, -Z_LIMIT, Z_LIMIT)
-            moved = scene.residual_and_slope(model, trial[None])
+            moved = data.residual_and_slope(model, trial[None])
             then = height(moved[0][0], trial)
             if then <= now - CLOSE:
                 break
@@ -101,23 +101,23 @@ def laplace(
 
 
 def laplace_under(
-    scene: BinnedData, setting: ErrorParameters, model: DeviceModel, z: FloatArray
+    data: BinnedData, setting: ErrorParameters, model: DeviceModel, z: FloatArray
 ) -> tuple[ErrorModel, Laplace]:
     """Fit a model under a noise, with the error model that this noise makes where the model starts."""
-    metric = ErrorModel(scene, setting, scene.residual_and_slope(model, z[None])[1][0])
-    return metric, laplace(scene, metric, model, z)
+    metric = ErrorModel(data, setting, data.residual_and_slope(model, z[None])[1][0])
+    return metric, laplace(data, metric, model, z)
 
 
-def visible(scene: BinnedData, jacobian: FloatArray, change_kN: FloatArray) -> FloatArray:
+def visible(data: BinnedData, jacobian: FloatArray, change_kN: FloatArray) -> FloatArray:
     """Size of changes of the force, shape (n, p), that no change of the parameters can make up for, as shares of Fy.
 
     The 99th percentile over the samples of what is left, or of the change itself where that is less, shape (p,).
     """
-    used = scene.used > 0
-    count, change = scene.count[used], change_kN[used]
+    used = data.used > 0
+    count, change = data.count[used], change_kN[used]
     root = np.sqrt(count)[:, None]
     left = orthogonal_to(jacobian[used] * root, change * root) / root
-    return np.minimum(largest(left, count), largest(change, count)) / scene.scale_kN
+    return np.minimum(largest(left, count), largest(change, count)) / data.scale_kN
 
 
 def largest(columns: FloatArray, count: FloatArray) -> FloatArray:
@@ -133,13 +133,13 @@ def zero_of(metric: ErrorModel, state: Laplace) -> tuple[float, float]:
     """Mean and standard deviation of the error of the load cell's zero, averaged over the runs, kN."""
     columns = np.column_stack([metric.whitened(state.beside()), metric.other])
     whole = Gaussian.of(columns.T @ columns)
-    zero = metric.scene.zero_kN / metric.scene.zero_kN.size
+    zero = metric.data.zero_kN / metric.data.zero_kN.size
     weights = np.append(np.zeros(whole.along.size - zero.size), zero)
     return float(weights @ whole.mean), math.sqrt(float(weights @ whole.solve(weights)))
 
 
 def find_noise(
-    scene: BinnedData,
+    data: BinnedData,
     state: Laplace,
     columns: FloatArray,
     start: ErrorParameters | None = None,
@@ -152,39 +152,39 @@ def find_noise(
     `ErrorParameters.size_kN`.
     A run holds at least `VALUES_SEEN` independent values of it (two memories are from one to the next).
     """
-    missed = scene.missed(state.slope)
+    missed = data.missed(state.slope)
     beside = np.column_stack([state.beside(columns), missed])
     known = np.ones(beside.shape[1] - 1 - missed.shape[1])
-    unit = MODEL_ERROR * scene.scale_kN
-    lasts_s = max(float(np.ptp(part.history.time_s)) for part in scene.posterior.averages)
-    laws = scene.device.laws_of_parameters[scene.device.n_law :]
+    unit = MODEL_ERROR * data.scale_kN
+    lasts_s = max(float(np.ptp(part.history.time_s)) for part in data.posterior.averages)
+    laws = data.device.laws_of_parameters[data.device.n_law :]
     longest_s = np.asarray(lasts_s / (2.0 * VALUES_SEEN))
     most = np.array([float(law.to_free(longest_s)) if law.unit == "s" else math.inf for law in laws])
 
     def setting(u: FloatArray) -> ErrorParameters:
         noise = ErrorParameters(tuple(np.minimum(u[:-2], most).tolist()), unit * math.exp(float(u[-2])), float(u[-1]))
-        return noise.at_most(scene, most_kN)
+        return noise.at_most(data, most_kN)
 
     def negative(u: FloatArray) -> float:
         noise = setting(u)
-        white, constant = noise.whitened(scene, beside, state.slope)
+        white, constant = noise.whitened(data, beside, state.slope)
         try:
-            return -Gaussian.of(white.T @ white, constant).sized(np.append(known, noise.sizes(scene))).log_evidence
+            return -Gaussian.of(white.T @ white, constant).sized(np.append(known, noise.sizes(data))).log_evidence
         except np.linalg.LinAlgError:  # noise so small that rounding tells nothing of one column beside the others
             return math.inf
 
     if start is None:
-        grids = [[float(np.clip(law.to_free(np.asarray(v)), -7, 7)) for v in _grid(law, scene)] for law in laws]
+        grids = [[float(np.clip(law.to_free(np.asarray(v)), -7, 7)) for v in _grid(law, data)] for law in laws]
         firsts = [np.array([*point, 0.0, 0.0]) for point in product(*grids)]
     else:
         firsts = [np.array([*start.z, math.log(start.model_error_kN / unit), start.at_rest])]
     return setting(most_probable_noise(negative, firsts, np.append(np.full(firsts[0].size - 2, 8.0), [6.0, 4.0])))
 
 
-def _grid(law: Prior, scene: BinnedData) -> tuple[float, ...]:
+def _grid(law: Prior, data: BinnedData) -> tuple[float, ...]:
     """Values of a noise parameter to begin with; the median of its prior where none are known."""
     shares = {"sigma": (0.003, 0.01), "sigma_white": (0.003, 0.01), "sigma_slow": (0.002, 0.01)}
     if law.name in shares:
-        return tuple(share * scene.scale_kN for share in shares[law.name])
+        return tuple(share * data.scale_kN for share in shares[law.name])
     known = {"tau_slow": (0.5, 5.0), "phi": (0.1, 0.8), "nu": (5.0,)}
     return known.get(law.name) or (float(law.quantile(0.5)),)

@@ -74,9 +74,9 @@ class Search:
     tell: Callable[[str], None] = lambda _: None
 
     @property
-    def scene(self) -> BinnedData:
+    def data(self) -> BinnedData:
         """The recordings."""
-        return self.fitter.scene
+        return self.fitter.data
 
     @property
     def metric(self) -> ErrorModel:
@@ -129,7 +129,7 @@ class Search:
             return self.matters_in_strokes
         if self.chatter is None or of.action != "capacity":
             return self.matters
-        if of.id == DIRECTION and self.chatter.lowers * h.state.z[columns_of(self.scene, h.state, place)[0]] > 0.0:
+        if of.id == DIRECTION and self.chatter.lowers * h.state.z[columns_of(self.data, h.state, place)[0]] > 0.0:
             return self.matters
         return max(self.matters, self.chatter.apart) if "test" in goes or of.id == DIRECTION else self.matters
 
@@ -142,12 +142,12 @@ def _with(hypotheses: Mapping[frozenset[str], Hypothesis], new: Hypothesis) -> M
 
 def try_constant(search: Search) -> Search:
     """Fit the base law beside a constant force, from where the search begins: the law alone may lie far off."""
-    scene, constant = search.scene, constant_of(search.fitter)
-    residual = scene.residual(scene.device, scene.z[None])[0]
-    size = float(residual @ scene.used / scene.used.sum()) / scene.scale_kN
+    data, constant = search.data, constant_of(search.fitter)
+    residual = data.residual(data.device, data.z[None])[0]
+    size = float(residual @ data.used / data.used.sum()) / data.scale_kN
     if constant is None or abs(size) <= MIN_EFFECT:
         return search
-    return search.add((constant,), np.append(scene.z, free_size(constant, size)))
+    return search.add((constant,), np.append(data.z, free_size(constant, size)))
 
 
 def constant_of(fitter: Fitter) -> Candidate | None:
@@ -180,7 +180,7 @@ def add_one(search: Search, h: Hypothesis) -> Search:
         moves = c.of.action == MOTION
         if len(followed) >= MOST and not moves and c.of.id not in followed:
             continue
-        size = visible(search.scene, h.state.jacobian, c.change[:, None])[0] * (ROUGHLY if effect else 1.0)
+        size = visible(search.data, h.state.jacobian, c.change[:, None])[0] * (ROUGHLY if effect else 1.0)
         if size < PROMISING * search.matters:
             continue
         level = search.ranked(len(h.members) + 1)
@@ -258,7 +258,7 @@ def beside_direction(search: Search, h: Hypothesis, place: int) -> Search:
     fitter, of = search.fitter, h.members[place].of
     if second_of(h.members[place]) != DIRECTION or DIRECTION in h.key or DIRECTION not in fitter.classes:
         return search
-    rest = fitter.fitted(*without(search.scene, h, place))
+    rest = fitter.fitted(*without(search.data, h, place))
     if rest is None:
         return search
     best = screen(search.metric, rest.state, fitter.candidates_of(DIRECTION))[0]
@@ -275,7 +275,7 @@ def beside_direction(search: Search, h: Hypothesis, place: int) -> Search:
 def drop_one(search: Search, h: Hypothesis) -> Search:
     """Fit the hypotheses with one class less."""
     for place in range(len(h.members)):
-        rest, z = without(search.scene, h, place)
+        rest, z = without(search.data, h, place)
         known = search.found.get(frozenset(m.of.id for m in rest))
         if known is None or not all(a.variant is b.variant for a, b in zip(known.members, rest, strict=True)):
             search = search.add(rest, z)
@@ -309,9 +309,9 @@ def split_curve(search: Search) -> Search:
         is_there = place < len(h.members) and h.members[place] is member
         if not is_there or member.variant.curve is None or len(h.members) == DEPTH:
             continue
-        if size_of(search.scene, h, place) < search.matters_of(h, place):
+        if size_of(search.data, h, place) < search.matters_of(h, place):
             continue
-        rest = search.fitter.fitted(*without(search.scene, h, place))
+        rest = search.fitter.fitted(*without(search.data, h, place))
         if rest is not None and not is_no_better_than_noise(search.fitter, h, rest):
             search = _in_place_of_curve(search, h, place, rest)
     return search
@@ -344,10 +344,10 @@ def _in_place_of_curve(search: Search, h: Hypothesis, place: int, rest: Hypothes
 
 def following(fitter: Fitter, h: Hypothesis, place: int) -> Iterator[Hypothesis]:
     """Give the hypotheses with a formula in the place of a curve that it follows: within what it may miss."""
-    allowed = tolerance(fitter.scene, h, place)
+    allowed = tolerance(fitter.data, h, place)
     for form in fitter.forms(h, place):
         one = fitter.fitted(replaced(h, place, form), form.start)
-        if one is not None and force_distance(fitter.scene, h, one) <= allowed:
+        if one is not None and force_distance(fitter.data, h, one) <= allowed:
             yield one
 
 
@@ -367,22 +367,22 @@ def follow_bends(search: Search) -> Search:
     bends = frozenset(m.variant.effect.id for m in h.members if m.of.action == MOTION)
     if bends <= search.bends:
         return search
-    fitter = replace(search.fitter, scene=search.scene.finer_at(h.state.model, h.state.z))
+    fitter = replace(search.fitter, data=search.data.finer_at(h.state.model, h.state.z))
     return look_for(replace(search, bends=bends, fitter=fitter), tuple(fitter.classes.values()))
 
 
 def look_for(search: Search, classes: tuple[Dependence, ...]) -> Search:
     """Look for given classes from here on, beside what was found."""
-    h, scene = search.best, search.scene
-    metric, rough = laplace_under(scene, search.metric.setting, scene.device, scene.z)
-    fitter = replace(search.fitter, metric=metric, looked=candidates(scene, rough, classes))
+    h, data = search.best, search.data
+    metric, rough = laplace_under(data, search.metric.setting, data.device, data.z)
+    fitter = replace(search.fitter, metric=metric, looked=candidates(data, rough, classes))
     return refit_noise(_again(replace(search, fitter=fitter), h))
 
 
 def refit_noise(search: Search) -> Search:
     """Find the noise beside the best hypothesis and everything that could be added; fit the best anew."""
     h, fitter = search.best, search.fitter
-    metric = noise_beside(search.scene, h.state, fitter.screen(h), search.metric.setting)
+    metric = noise_beside(search.data, h.state, fitter.screen(h), search.metric.setting)
     return _again(replace(search, fitter=replace(fitter, metric=metric)), h)
 
 

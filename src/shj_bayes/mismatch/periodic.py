@@ -48,14 +48,14 @@ def comes_again_in_place(of: Dependence) -> bool:
     return over is not None and not is_clock(over)
 
 
-def of_whole_cycles(scene: BinnedData, of: Dependence) -> Dependence:
+def of_whole_cycles(data: BinnedData, of: Dependence) -> Dependence:
     """Give a class over a clock without the curves that change within a cycle, as position and direction do.
 
     The smoothest curves stay, and have the probability of those that are left out. The class itself where nothing is.
     """
     if not is_over_a_clock(of):
         return of
-    histories = [part.history for part in scene.posterior.averages]
+    histories = [part.history for part in data.posterior.averages]
     moved_s = sum(float(h.time_s[-1] - h.time_s[0]) for h in histories)
     cycle = 2.0 * moved_s / sum(h.motion.n_half for h in histories) / histories[-1].tested_s
     if all(v.curve is None or v.curve.length >= cycle for v in of.variants):
@@ -69,35 +69,35 @@ def of_whole_cycles(scene: BinnedData, of: Dependence) -> Dependence:
     return replace(of, variants=kept)
 
 
-def follows_cycles(scene: BinnedData, effect: Effect, values: Values) -> bool:
+def follows_cycles(data: BinnedData, effect: Effect, values: Values) -> bool:
     """Whether what an effect does keeps step with the cycles."""
     columns = []
-    for part in scene.posterior.averages:
-        does = effect.act(part.history, values, scene.base)
-        share = np.broadcast_to(does.clamping + does.added_kN / scene.scale_kN, part.history.time_s.shape)
+    for part in data.posterior.averages:
+        does = effect.act(part.history, values, data.base)
+        share = np.broadcast_to(does.clamping + does.added_kN / data.scale_kN, part.history.time_s.shape)
         columns.append(share[:, None])
-    return bool(keep_step(by_stroke(scene, columns), sides="side" in values)[0])
+    return bool(keep_step(by_stroke(data, columns), sides="side" in values)[0])
 
 
-def goes_one_way(scene: BinnedData, effect: Effect, values: Values) -> bool:
+def goes_one_way(data: BinnedData, effect: Effect, values: Values) -> bool:
     """Whether what an effect does to the capacity goes one way from stroke to stroke, by most of all its changes."""
     columns = []
-    for part in scene.posterior.averages:
-        share = np.broadcast_to(effect.act(part.history, values, scene.base).clamping, part.history.time_s.shape)
+    for part in data.posterior.averages:
+        share = np.broadcast_to(effect.act(part.history, values, data.base).clamping, part.history.time_s.shape)
         columns.append(share[:, None])
-    courses = [own.mean(axis=(1, 2)) for own in by_stroke(scene, columns)]
+    courses = [own.mean(axis=(1, 2)) for own in by_stroke(data, columns)]
     net = sum(abs(course[-1] - course[0]) for course in courses)
     return bool(net >= EXPLAINED * sum(np.abs(np.diff(course)).sum() for course in courses))
 
 
-def by_stroke(scene: BinnedData, columns: Sequence[FloatArray]) -> list[FloatArray]:
+def by_stroke(data: BinnedData, columns: Sequence[FloatArray]) -> list[FloatArray]:
     """Functions at `PER_STROKE` places of each push and of each pull, shapes (strokes, places, p).
 
     They are given at the points of each run, shapes (n_points, p).
     """
     at = (np.arange(PER_STROKE) + 0.5) / PER_STROKE
     strokes: dict[float, list[FloatArray]] = {1.0: [], -1.0: []}
-    for part, column in zip(scene.posterior.averages, columns, strict=True):
+    for part, column in zip(data.posterior.averages, columns, strict=True):
         motion = part.history.motion
         for k, direction in enumerate(motion.direction):
             begin, end = motion.start[k], motion.start[k + 1]
@@ -129,7 +129,7 @@ GOOD_PART = 0.3  # of the variance of a residual
 STANDS_OUT = 2.5  # of the variance that the means of noise have
 
 
-def waves(scene: BinnedData, metric: ErrorModel, state: Laplace, of: Dependence, most: int = 2) -> list[Candidate]:
+def waves(data: BinnedData, metric: ErrorModel, state: Laplace, of: Dependence, most: int = 2) -> list[Candidate]:
     """Find at most so many periods after which a curve of a class may come again, beside a model.
 
     An empty list where curves over the coordinate do not come again: `Coordinate.repeats` says how likely that is.
@@ -137,29 +137,29 @@ def waves(scene: BinnedData, metric: ErrorModel, state: Laplace, of: Dependence,
     over = _repeating(of)
     if over is None:
         return []
-    slowest, fastest = _limits(scene, over)
+    slowest, fastest = _limits(data, over)
     spacing = slowest / 4.0
     frequencies = np.arange(slowest, fastest, spacing)
     if is_clock(over):
-        places = [over.values(part.history, scene.base)[:, None] for part in scene.posterior.averages]
-        turns = [np.exp(2j * np.pi * frequencies * place) for place in by_stroke(scene, places)]
+        places = [over.values(part.history, data.base)[:, None] for part in data.posterior.averages]
+        turns = [np.exp(2j * np.pi * frequencies * place) for place in by_stroke(data, places)]
         frequencies = frequencies[~keep_step(turns)]
     if frequencies.size < 3:
         return []
-    response = _response(scene, state, of.action)
-    if (of.action, over.id) not in scene.waves:  # what more capacity gives differs little from model to model
-        scene.waves[of.action, over.id] = _columns(scene, over, response, frequencies)
-    gains = _gains(metric, state, scene.waves[of.action, over.id], (of.action, over.id))
+    response = _response(data, state, of.action)
+    if (of.action, over.id) not in data.waves:  # what more capacity gives differs little from model to model
+        data.waves[of.action, over.id] = _columns(data, over, response, frequencies)
+    gains = _gains(metric, state, data.waves[of.action, over.id], (of.action, over.id))
     peaks = np.flatnonzero((gains >= np.append(gains[1:], -np.inf)) & (gains >= np.append(-np.inf, gains[:-1])))
     weight = (1.0 - FORMS) * over.repeats / frequencies.size
     out = []
     for peak in peaks[np.argsort(-gains[peaks], kind="stable")][:most]:
         near = frequencies[peak] + spacing * np.linspace(-0.75, 0.75, 13)
-        best = _top_of(near, _gains(metric, state, _columns(scene, over, response, near)))
+        best = _top_of(near, _gains(metric, state, _columns(data, over, response, near)))
         period = round(PERIODS_PER_UNIT / best) / PERIODS_PER_UNIT
         curve = Curve(of.action, over.id, LENGTH, period=period)
         variant = Parametrisation(curve, curve.effect(), weight)
-        out += [replace(c, of=of) for c in candidates(scene, state, (replace(of, variants=(variant,)),))]
+        out += [replace(c, of=of) for c in candidates(data, state, (replace(of, variants=(variant,)),))]
     return out
 
 
@@ -172,27 +172,27 @@ def _top_of(at: FloatArray, height: FloatArray) -> float:
     return float(at[k] + np.clip(shift, -1.0, 1.0) * (at[1] - at[0]))
 
 
-def resolved(scene: BinnedData, metric: ErrorModel, state: Laplace, of: Sequence[Dependence]) -> BinnedData:
+def resolved(data: BinnedData, metric: ErrorModel, state: Laplace, of: Sequence[Dependence]) -> BinnedData:
     """Give the recordings in blocks that show what comes again: shorter ones where its period is too short for these.
 
     The state is that of the base law.
     """
-    shown = scene
+    shown = data
     for one in of:
         over = _repeating(one)
-        if over is None or (fine := _finest(scene, state, over)) is None:
+        if over is None or (fine := _finest(data, state, over)) is None:
             continue
         own, base = laplace_under(fine, metric.setting, state.model, state.z)
         best = max(screen(own, base, waves(fine, own, base, one, 1)), key=lambda c: c.gain, default=None)
         curve = best.variant.curve if best is not None and best.gain > 0.0 else None
-        if best is None or curve is None or curve.period is None or curve.period * _limits(scene, over)[1] >= 1.0:
+        if best is None or curve is None or curve.period is None or curve.period * _limits(data, over)[1] >= 1.0:
             continue
         if is_clock(over):
-            shown = fine if shown is scene else shown
-        elif _is_most_of(base.residual, best.change, round(PER_TURN * fine.count.size / scene.count.size)):
-            longest_s = 0.5 * curve.period / (PER_TURN * scene.posterior.averages[0].history.peak_speed_mm_s)
+            shown = fine if shown is data else shown
+        elif _is_most_of(base.residual, best.change, round(PER_TURN * fine.count.size / data.count.size)):
+            longest_s = 0.5 * curve.period / (PER_TURN * data.posterior.averages[0].history.peak_speed_mm_s)
             # From the first reading of a block to its last.
-            shown = replace(scene, longest_s=max(0.0, longest_s - scene.step_s)).finer_at(state.model, state.z)
+            shown = replace(data, longest_s=max(0.0, longest_s - data.step_s)).finer_at(state.model, state.z)
     return shown
 
 
@@ -202,32 +202,32 @@ def _is_most_of(residual: FloatArray, wave: FloatArray, n_smooth: int) -> bool:
     return float(np.var(quick[1])) < (1.0 - GOOD_PART) * float(np.var(quick[0]))
 
 
-def _finest(scene: BinnedData, state: Laplace, over: Coordinate) -> BinnedData | None:
+def _finest(data: BinnedData, state: Laplace, over: Coordinate) -> BinnedData | None:
     """Give the recordings in blocks that may show what comes again sooner over a coordinate than these do.
 
     None where all is shown, or where no place is passed with another force each time than the places beside it.
     """
-    slowest, fastest = _limits(scene, over)
+    slowest, fastest = _limits(data, over)
     if fastest >= MOST_TURNS / 2.0 * slowest:
         return None
     if is_clock(over):
-        return scene.finer
-    history = scene.posterior.averages[0].history
+        return data.finer
+    history = data.posterior.averages[0].history
     low, high = over.reach(history)
     shortest = (high - low) / MOST_TURNS
-    fine = scene.finer_at(state.model, state.z, longest_s=shortest / (PER_TURN * history.peak_speed_mm_s))
+    fine = data.finer_at(state.model, state.z, longest_s=shortest / (PER_TURN * history.peak_speed_mm_s))
     residual = fine.residual(state.model, state.z[None])[0]
     place = (fine.channel(over.id + "_mm") - low) / shortest * BINS_PER_TURN
     return fine if _comes_again(residual, place, fine, round(BINS_PER_TURN / (fastest * shortest))) else None
 
 
-def _comes_again(residual: FloatArray, place: FloatArray, scene: BinnedData, n_smooth: int) -> bool:
+def _comes_again(residual: FloatArray, place: FloatArray, data: BinnedData, n_smooth: int) -> bool:
     """Whether the residual is another one in some places than in those beside them, pass for pass.
 
     Its means in bins of the place, in push and in pull apart, less their smooth course over `n_smooth` bins, are held
     against the scatter of single passes.
     """
-    sense, used = np.sign(scene.channel("direction")), scene.used > 0
+    sense, used = np.sign(data.channel("direction")), data.used > 0
     ratio = []
     for sign in (-1.0, 1.0):
         own = used & (sense == sign)
@@ -247,37 +247,37 @@ def _repeating(of: Dependence) -> Coordinate | None:
     return over if over is not None and over.repeats and any(v.curve for v in of.variants) else None
 
 
-def _limits(scene: BinnedData, over: Coordinate) -> tuple[float, float]:
+def _limits(data: BinnedData, over: Coordinate) -> tuple[float, float]:
     """Lowest and highest frequency that is looked at over a coordinate, in turns to its unit."""
-    values = [over.values(part.history, scene.base) for part in scene.posterior.averages]
-    place = scene.blocks([v[:, None] for v in values])[:, 0]
-    block = float(np.quantile(np.abs(np.diff(place[scene.used > 0])), 0.9))  # all but the longest tenth
-    low, high = over.reach(scene.posterior.averages[0].history)
+    values = [over.values(part.history, data.base) for part in data.posterior.averages]
+    place = data.blocks([v[:, None] for v in values])[:, 0]
+    block = float(np.quantile(np.abs(np.diff(place[data.used > 0])), 0.9))  # all but the longest tenth
+    low, high = over.reach(data.posterior.averages[0].history)
     return 2.0 / (high - low), min(1.0 / (PER_TURN * block), MOST_TURNS / (high - low))
 
 
-def _response(scene: BinnedData, state: Laplace, action: str) -> list[FloatArray]:
+def _response(data: BinnedData, state: Laplace, action: str) -> list[FloatArray]:
     """Force at the points of each run by a curve of height 1: Fy where it is added, what more capacity gives else."""
-    histories = [part.history for part in scene.posterior.averages]
+    histories = [part.history for part in data.posterior.averages]
     if action == "added":
-        return [np.full(h.position_mm.size, scene.scale_kN) for h in histories]
+        return [np.full(h.position_mm.size, data.scale_kN) for h in histories]
     step = 1e-3
     at = list(state.model.law_names).index("Fy")
     z = state.z + step * np.eye(state.z.size)[at][None]
     theta = state.model.natural_of_law(np.vstack([state.z, z]))
     rise = float(theta[1, at] / theta[0, at] - 1.0)
-    forces = [state.model.force(theta, p.history, p.start_force_kN) for p in scene.posterior.averages]
+    forces = [state.model.force(theta, p.history, p.start_force_kN) for p in data.posterior.averages]
     return [np.asarray((f[1] - f[0]) / rise) for f in forces]
 
 
-def _columns(scene: BinnedData, over: Coordinate, response: list[FloatArray], frequencies: FloatArray) -> FloatArray:
+def _columns(data: BinnedData, over: Coordinate, response: list[FloatArray], frequencies: FloatArray) -> FloatArray:
     """Force of each block by a cosine and a sine of each frequency, shape (n, n_frequencies, 2), kN."""
-    places = [over.values(part.history, scene.base) for part in scene.posterior.averages]
+    places = [over.values(part.history, data.base) for part in data.posterior.averages]
     parts = []
     for some in np.array_split(frequencies, -(-frequencies.size // AT_ONCE)):
         angles = [2.0 * np.pi * place[:, None] * some for place in places]
         points = [np.concatenate([np.cos(a), np.sin(a)], axis=1) for a in angles]
-        blocks = scene.blocks([p * r[:, None] for p, r in zip(points, response, strict=True)])
+        blocks = data.blocks([p * r[:, None] for p, r in zip(points, response, strict=True)])
         parts.append(np.stack(np.split(blocks, 2, axis=1), axis=2))
     return np.concatenate(parts, axis=1)
 
@@ -336,19 +336,19 @@ class Chatter:
     lowers: float
 
 
-def chatter_of(scene: BinnedData, state: Laplace, most_kN: float) -> Chatter | None:
+def chatter_of(data: BinnedData, state: Laplace, most_kN: float) -> Chatter | None:
     """Look for chatter beside a model; None where the scatter is no larger than that of noise.
 
     The noise of a load cell has a standard deviation of `most_kN` at most.
     """
-    fine = scene.finer_at(state.model, state.z, longest_s=0.0)
+    fine = data.finer_at(state.model, state.z, longest_s=0.0)
     residual, _ = fine.residual_and_slope(state.model, state.z[None])
     loaded = np.abs(fine.force(fine.device, state.of_law(fine.device)[None]))
     rows = np.concatenate([residual, loaded / loaded.max()])
-    longest = AVERAGED_S / scene.step_s
+    longest = AVERAGED_S / data.step_s
     found = None
     for together in (2**i for i in range(1 + max(0, int(math.log2(longest))))):
-        one = _at_scale(list(_half_cycles(fine, rows, together)), scene.scale_kN, most_kN)
+        one = _at_scale(list(_half_cycles(fine, rows, together)), data.scale_kN, most_kN)
         if one is not None and one.share > max(LEAST, found.share if found else 0.0):
             found = one
     return found

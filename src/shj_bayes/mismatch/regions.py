@@ -18,15 +18,15 @@ HIDDEN = 0.1  # share of an effect that must survive a refit of the base law for
 ALIKE = 0.9  # cosine above which two effects look alike
 
 
-def aliases_of(scene: BinnedData) -> list[Alias]:
+def aliases_of(data: BinnedData) -> list[Alias]:
     """Pairs of effects that the tested history cannot separate, strongest first.
 
     Each effect acts with the values that a search starts from on the base law with the parameters of the device.
     """
-    device = scene.device.with_effects(())
-    z = scene.z[: device.n_law]
-    before = scene.force(device, z[None])[0]
-    slopes = scene.jacobian(device, z, scene.residual(device, z[None])[0]) * scene.used[:, None]
+    device = data.device.with_effects(())
+    z = data.z[: device.n_law]
+    before = data.force(device, z[None])[0]
+    slopes = data.jacobian(device, z, data.residual(device, z[None])[0]) * data.used[:, None]
     left: dict[str, FloatArray] = {}
     out = []
     for effect in catalogue().values():
@@ -34,7 +34,7 @@ def aliases_of(scene: BinnedData) -> list[Alias]:
             continue
         model = device.with_effects((effect,))
         starts = extended(z, device, model, effect)
-        change = scene.force(model, starts[len(starts) // 2][None])[0] - before
+        change = data.force(model, starts[len(starts) // 2][None])[0] - before
         rest = orthogonal_to(slopes, change[:, None])[:, 0]
         size, whole = float(np.linalg.norm(rest)), float(np.linalg.norm(change))
         if size <= HIDDEN * whole or whole == 0.0:
@@ -58,26 +58,26 @@ SIDES = ("both", "push", "pull")
 WHERE = (("position", 11), ("speed", 6), ("slip", 8), ("travel", 12), ("amplitude", 6))  # and in how many intervals
 
 
-def regions_of(scene: BinnedData, metric: ErrorModel, base: Laplace) -> list[Location]:
+def regions_of(data: BinnedData, metric: ErrorModel, base: Laplace) -> list[Location]:
     """List the regions in which the base law fails, the largest first, at most two for each coordinate."""
-    sense, run = scene.channel("direction"), run_of(scene)
+    sense, run = data.channel("direction"), run_of(data)
     cuts, columns = [], []
-    histories = [part.history for part in scene.posterior.averages]
+    histories = [part.history for part in data.posterior.averages]
     for name, n in WHERE:
         over = coordinate_named(name)
-        part = scene.blocks([over.share(h, scene.base)[:, None] for h in histories])[:, 0]
+        part = data.blocks([over.share(h, data.base)[:, None] for h in histories])[:, 0]
         for low, high in pairwise(np.linspace(0.0, 1.0 + 1e-9, n + 1)):
-            inside = (part >= low) & (part < high) & (scene.used > 0)
+            inside = (part >= low) & (part < high) & (data.used > 0)
             edges = over.value_of(np.array([low, min(high, 1.0)]), histories[0])
             ends = (float(edges[0]), float(edges[1]))
             cuts += [(WORDS.get(over.id, over.id), over.unit, ends, word) for word in SIDES]
             columns += [_side(word, inside, sense) for word in SIDES]
     for number in range(1, len(histories) + 1):
-        inside = (run == number) & (scene.used > 0)
+        inside = (run == number) & (data.used > 0)
         cuts += [("run", "1", (number - 0.5, number + 0.5), word) for word in SIDES]
         columns += [_side(word, inside, sense) for word in SIDES]
     table = np.stack(columns, axis=1)
-    large = np.count_nonzero(table, axis=0) >= MIN_SHARE * scene.used.sum()
+    large = np.count_nonzero(table, axis=0) >= MIN_SHARE * data.used.sum()
     table, cuts = table[:, large], [cut for cut, ok in zip(cuts, large, strict=True) if ok]
     p_values = _p_values(metric, base, table)
     whole = float(base.residual @ base.residual)
@@ -108,9 +108,9 @@ def regions_of(scene: BinnedData, metric: ErrorModel, base: Laplace) -> list[Loc
     return kept
 
 
-def run_of(scene: BinnedData) -> NDArray[np.int64]:
+def run_of(data: BinnedData) -> NDArray[np.int64]:
     """Give the number of the run of each block."""
-    return np.concatenate([np.full(part.n, part.history.run) for part in scene.posterior.averages])
+    return np.concatenate([np.full(part.n, part.history.run) for part in data.posterior.averages])
 
 
 def _side(word: str, inside: NDArray[np.bool_], sense: FloatArray) -> FloatArray:

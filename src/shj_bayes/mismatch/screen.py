@@ -61,7 +61,7 @@ def _gained(c: Candidate, own: Gaussian) -> Candidate:
     return replace(c, gain=gain, model=model, variant=replace(c.variant, curve=curve, effect=effect))
 
 
-def curves_of(scene: BinnedData, state: Laplace, of: Dependence) -> FloatArray | None:
+def curves_of(data: BinnedData, state: Laplace, of: Dependence) -> FloatArray | None:
     """Give the curves of a class, kN by unit of normal coefficients, shape (n, p); None where it has none.
 
     To first order, with the standard deviation of `Curve.size`. A class may have several: heat decays sooner or later.
@@ -72,20 +72,20 @@ def curves_of(scene: BinnedData, state: Laplace, of: Dependence) -> FloatArray |
         return None
     likely = {v.curve.coordinate: v for v in sorted(curves, key=lambda v: v.weight) if v.curve is not None}
     one = replace(of, variants=tuple(likely.values()))
-    return np.column_stack([c.columns for c in candidates(scene, state, (one,))])
+    return np.column_stack([c.columns for c in candidates(data, state, (one,))])
 
 
-def missed_by(scene: BinnedData, state: Laplace, of: Dependence, size: float) -> FloatArray | None:
+def missed_by(data: BinnedData, state: Laplace, of: Dependence, size: float) -> FloatArray | None:
     """Give what a form of a size, a share of Fy, may miss over the coordinate of a class: curves as of `curves_of`.
 
     With a standard deviation of 1 - `EXPLAINED` of the size.
     """
-    curves = curves_of(scene, state, of)
+    curves = curves_of(data, state, of)
     return None if curves is None else curves * ((1.0 - EXPLAINED) * size / Curve.size)
 
 
 def beside_missed(
-    scene: BinnedData,
+    data: BinnedData,
     metric: ErrorModel,
     state: Laplace,
     found: Sequence[tuple[Candidate, float]],
@@ -102,12 +102,12 @@ def beside_missed(
     missed = [
         curves
         for member, size in found
-        if member.variant.curve is None and (curves := missed_by(scene, state, member.of, size)) is not None
+        if member.variant.curve is None and (curves := missed_by(data, state, member.of, size)) is not None
     ]
     if missed:
         covariance = _spread(metric, state, *missed)
     best: dict[str, Candidate] = {}
-    for c in screen(metric, state, candidates(scene, state, tuple(others))):
+    for c in screen(metric, state, candidates(data, state, tuple(others))):
         best.setdefault(c.of.id, c)
     for c in best.values():
         column = c.change[:, None] if c.variant.curve is None else unit_columns(c)

@@ -70,7 +70,7 @@ MOST_FINAL = 6  # hypotheses that are weighed under noise of their own
 
 
 def search(
-    scene: BinnedData,
+    data: BinnedData,
     classes: Sequence[Dependence],
     hidden: frozenset[str] = frozenset(),
     tell: Callable[[str], None] = lambda _: None,
@@ -80,20 +80,20 @@ def search(
     `tell` gets one line for each step.
     """
     tell("fitting the base law")
-    whole = [of_whole_cycles(scene, of) for of in classes]
-    size = float(np.std(scene.residual(scene.device, scene.z[None])[0]))
-    start = ErrorParameters(noise_of_size(scene.device, size), MODEL_ERROR * scene.scale_kN)
-    metric, rough = laplace_under(scene, start, scene.device, scene.z)
-    shown = resolved(scene, metric, rough, whole)
-    if shown is not scene:
-        scene = shown
-        metric, rough = laplace_under(scene, start, scene.device, scene.z)
-    if scene.count.size > MOST_BLOCKS:
+    whole = [of_whole_cycles(data, of) for of in classes]
+    size = float(np.std(data.residual(data.device, data.z[None])[0]))
+    start = ErrorParameters(noise_of_size(data.device, size), MODEL_ERROR * data.scale_kN)
+    metric, rough = laplace_under(data, start, data.device, data.z)
+    shown = resolved(data, metric, rough, whole)
+    if shown is not data:
+        data = shown
+        metric, rough = laplace_under(data, start, data.device, data.z)
+    if data.count.size > MOST_BLOCKS:
         classes = whole = [of for of in whole if comes_again_in_place(of)]
-    looked = candidates(scene, rough, tuple(whole))
-    again = [w for of in whole for w in waves(scene, metric, rough, of)]
-    metric = noise_beside(scene, rough, [*looked, *again], None)
-    out = Search(Fitter(scene, looked, metric, hidden), tell=tell).add((), scene.z)
+    looked = candidates(data, rough, tuple(whole))
+    again = [w for of in whole for w in waves(data, metric, rough, of)]
+    metric = noise_beside(data, rough, [*looked, *again], None)
+    out = Search(Fitter(data, looked, metric, hidden), tell=tell).add((), data.z)
     assert out.found
     out = deepen_from(try_constant(out), 0)
     if whole != list(classes):
@@ -154,7 +154,7 @@ def _refined(out: Search, before: Hypothesis, depth: int) -> Search:
 def detect_chatter(out: Search) -> Search:
     """Look for chatter beside the best hypothesis."""
     sought = "stick_slip" not in out.fitter.hidden and str(TEETH) not in out.best.key
-    return replace(out, chatter=chatter_of(out.scene, out.best.state, out.scene.noise_most_kN) if sought else None)
+    return replace(out, chatter=chatter_of(out.data, out.best.state, out.data.noise_most_kN) if sought else None)
 
 
 def finish(out: Search) -> Search:
@@ -256,10 +256,10 @@ def _odds_of_other(out: Search, h: Hypothesis, own: str, other: str) -> tuple[fl
     """
     place = [m.of.id for m in h.members].index(own)
     effect, law = h.members[place].variant.effect, h.state.model.law_values(h.state.z)
-    if not goes_one_way(out.scene, effect, {name: law[f"{effect.id}.{name}"] for name in effect.names}):
+    if not goes_one_way(out.data, effect, {name: law[f"{effect.id}.{name}"] for name in effect.names}):
         return None
     fitter = replace(out.fitter, metric=h.metric or out.metric)
-    rest = fitter.fitted(*without(out.scene, h, place))
+    rest = fitter.fitted(*without(out.data, h, place))
     if rest is None:
         return None
     fits = {name: _with_curves(fitter, rest, name) for name in (own, other)}
@@ -296,7 +296,7 @@ def _with_curves(fitter: Fitter, rest: Hypothesis, name: str) -> list[Hypothesis
     curves = [Curve("capacity", over, length) for over, length in FREE[name]]
     variants = tuple(Parametrisation(curve, curve.effect(), 1.0) for curve in curves)
     of = replace(fitter.classes[name], variants=variants)
-    tried = screen(fitter.metric, rest.state, candidates(fitter.scene, rest.state, (of,)))
+    tried = screen(fitter.metric, rest.state, candidates(fitter.data, rest.state, (of,)))
     return fitter.all_fitted(((*rest.members, c), c) for c in tried)
 
 
@@ -305,7 +305,7 @@ def _zero_apart(out: Search, h: Hypothesis) -> Search:
 
     The probability that it is goes to the hypothesis with the constant.
     """
-    constant, found, scale_kN = constant_of(out.fitter), out.found, out.scene.scale_kN
+    constant, found, scale_kN = constant_of(out.fitter), out.found, out.data.scale_kN
     assert h.metric is not None
     if constant is None or CONSTANT in h.key:
         return out

@@ -81,8 +81,8 @@ def expected_information(
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
     rivals = known.rivals
-    scene, misread = as_read(known, protocol, rate_Hz, rng)
-    lines, wrong, force_kN = _lines(known, scene, misread)
+    data, misread = as_read(known, protocol, rate_Hz, rng)
+    lines, wrong, force_kN = _lines(known, data, misread)
     outcomes = [_outcomes(b, *line, n, rng) for b, line in zip(rivals, lines, strict=True)]
     drawn = np.concatenate(outcomes, axis=1) + wrong
     logs, values, variances = [], [], []
@@ -111,7 +111,7 @@ def expected_information(
         sd,
         force_kN,
         _separation(known, evidence.reshape(len(rivals), n, len(rivals))),
-        float(np.percentile(np.abs(misread[scene.used > 0]), 99)),
+        float(np.percentile(np.abs(misread[data.used > 0]), 99)),
     )
 
 
@@ -140,18 +140,18 @@ def _separation(known: PretestPosterior, logs: FloatArray) -> float:
 
 
 def _lines(
-    known: PretestPosterior, scene: BinnedData, misread: FloatArray
+    known: PretestPosterior, data: BinnedData, misread: FloatArray
 ) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray, float]:
     """Linearise a planned run: mean and design of each rival, what all get wrong, and the largest force, kN.
 
     In units of the noise, in coordinates of the space that they span.
     """
     first = known.rivals[0]
-    metric = ErrorModel(scene, known.setting, scene.residual_and_slope(first.model, first.z[None])[1][0])
+    metric = ErrorModel(data, known.setting, data.residual_and_slope(first.model, first.z[None])[1][0])
     columns, forces = [metric.whitened(misread[:, None]), metric.other], []
     for b in known.rivals:
-        residual = scene.residual(b.model, b.z[None])[0]
-        force, jacobian = (scene.measured_kN - residual) * scene.used, scene.jacobian(b.model, b.z, residual)
+        residual = data.residual(b.model, b.z[None])[0]
+        force, jacobian = (data.measured_kN - residual) * data.used, data.jacobian(b.model, b.z, residual)
         told, own = jacobian * b.drawn, b.gaussian.covariance[: b.z.size, : b.z.size]
         forces.append(float(np.max(np.abs(force) + SURE * np.sqrt(np.einsum("ij,jk,ik->i", told, own, told)))))
         columns.append(metric.whitened(np.column_stack([force - jacobian @ b.z, jacobian])))
@@ -176,8 +176,8 @@ def as_read(
     time, motion = protocol.sampled(rate_Hz)
     found = motion_of(Recording(time, known.wobbling(motion.displacement_mm, rng), np.zeros(time.size), source=PLANNED))
     run, read = (known.base_force(histories([time], [m])[0]) for m in (motion, found))
-    scene = known.scene(time, found, run)
-    return scene, scene.blocks([(run - read)[:, None]])[:, 0]
+    data = known.data(time, found, run)
+    return data, data.blocks([(run - read)[:, None]])[:, 0]
 
 
 def quantity_of(

@@ -38,7 +38,7 @@ from shj_bayes.mismatch.data import (
     BinnedData,
     ErrorModel,
     ErrorParameters,
-    scene_of,
+    data_of,
 )
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
@@ -284,7 +284,7 @@ class PretestPosterior:
         noise = max((run.motion.noise_mm for run in self.runs), default=0.0)
         return displacement_mm + noise * rng.standard_normal(displacement_mm.size)
 
-    def scene(self, time_s: FloatArray, motion: Motion, force_kN: FloatArray, coarser: float = COARSER) -> BinnedData:
+    def data(self, time_s: FloatArray, motion: Motion, force_kN: FloatArray, coarser: float = COARSER) -> BinnedData:
         """Hold the model against one further run, its blocks `coarser` times as long as those of a fit.
 
         Times are from 0, the displacement is from the middle of the stroke.
@@ -367,31 +367,31 @@ def linearise(
     name, runs, device, sets = tested.name, tested.runs, tested.device, tested.sets
     if len(runs) >= MOST_RUNS:
         raise PlanError(f"{name} has {len(runs)} runs; a model takes {MOST_RUNS}, so no further one can be planned")
-    own = scene_of(runs, device)
+    own = data_of(runs, device)
     limit = largest_zero([key for key, _ in sets], own.scale_kN)
     parts = [_zero_within(part, limit) for part in own.posterior.averages]
     old = tuple(replace(part, history=replace(part.history, **scales)) for part in parts)
     peak = own.posterior.averages[0].history.peak_speed_mm_s  # noise at speeds beyond it is as it was there
-    scene = BinnedData(Posterior(runs, device, old), own.z, peak)
+    data = BinnedData(Posterior(runs, device, old), own.z, peak)
     known = {c.id: c for c in classes(tested.hidden, own.measured)}
     missing = sorted({c for key, _ in sets for c in key} - set(known))
     if missing:
         raise PlanError(f"'{missing[0]}' is no class of dependence; known are {', '.join(known)}")
     needed = tuple(known[c] for c in sorted({c for key, _ in sets for c in key}))
     tell(f"{name}: fitting {len(sets)} rivals to the tests so far")
-    slope = scene.residual_and_slope(device, scene.z[None])[1][0]
-    size = float(np.std(scene.residual(device, scene.z[None])[0]))
+    slope = data.residual_and_slope(device, data.z[None])[1][0]
+    size = float(np.std(data.residual(device, data.z[None])[0]))
     start = ErrorParameters(noise_of_size(device, size), max(size, 1e-6))
-    rough = laplace(scene, ErrorModel(scene, start, slope), device, scene.z)
-    looked = candidates(scene, rough, needed)
-    metric = noise_beside(scene, rough, looked, None)
-    fitter = Fitter(scene, looked, metric, tested.hidden)
+    rough = laplace(data, ErrorModel(data, start, slope), device, data.z)
+    looked = candidates(data, rough, needed)
+    metric = noise_beside(data, rough, looked, None)
+    fitter = Fitter(data, looked, metric, tested.hidden)
     found = [(key, p, h) for key, p in sets for h in _ways(fitter, key)]
     if not found:
         raise PlanError(f"{name}: none of its rivals can be fitted; run diagnose again")
     best = max((h for _, _, h in found), key=lambda h: h.log_weight)
-    setting = find_noise(scene, best.state, np.zeros((best.state.residual.size, 0)), metric.setting)
-    fitter = replace(fitter, metric=ErrorModel(scene, setting, best.state.slope))
+    setting = find_noise(data, best.state, np.zeros((best.state.residual.size, 0)), metric.setting)
+    fitter = replace(fitter, metric=ErrorModel(data, setting, best.state.slope))
     fits = [(key, p, fitter.fitted(h.members, h.state.z) or h) for key, p, h in found]
     shares = _shares(fits, even=tested.untold)
     further = replace(device, n_runs=len(runs) + 1)
@@ -399,7 +399,7 @@ def linearise(
     kept = [i for i in np.argsort(-shares, kind="stable")[:MOST_RIVALS] if shares[i] > LEAST_SHARE * shares.max()]
     total = float(shares[kept].sum())
     rivals = [_rival(fitter.metric, fits[i][0], float(shares[i]) / total, fits[i][2]) for i in kept]
-    z, middle = _joint(device, further, scene.z)[0], float(last.motion.displacement_mm[0] - last.position_mm[0])
+    z, middle = _joint(device, further, data.z)[0], float(last.motion.displacement_mm[0] - last.position_mm[0])
     return PretestPosterior(name, runs, further, z, old, scales, setting, tuple(rivals), middle, peak)
 
 
@@ -454,7 +454,7 @@ def _shares(fits: Sequence[tuple[Key, float, Hypothesis]], *, even: bool) -> Flo
 
 def _ways(fitter: Fitter, key: Key) -> list[Hypothesis]:
     """Fit a set of classes: curves of the likely kinds, and formulas in the place of the last of them."""
-    ways = [h for h in (fitter.fitted((), fitter.scene.z),) if h is not None]
+    ways = [h for h in (fitter.fitted((), fitter.data.z),) if h is not None]
     for left in range(len(key), 0, -1):
         found: list[Hypothesis] = []
         h = max(ways, key=lambda h: h.log_weight)

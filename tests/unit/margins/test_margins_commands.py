@@ -326,7 +326,9 @@ def test_halves_of_a_conversion_or_a_nominal_force_are_refused(asked, words):
 def test_the_two_numbers_hold_at_a_lower_speed_than_the_tested_one(folder):
     """Corroded, the force grows with speed: 10 mm/s for dep = 60 and 90 mm/s make a seventh of it and a tenth."""
     done = run("margins", folder)
-    assert "at every speed from standstill to 10.2 mm/s, in the test that each device went through (ageing" in done.output
+    assert (
+        "at every speed from standstill to 10.2 mm/s, in the test that each device went through (ageing" in done.output
+    )
     tested, _ = numbers(folder)
     assert run("margins", folder, "--amplitude", 95, "--speed", 1).exit_code == 0
     slow, _ = numbers(folder)

@@ -7,7 +7,7 @@ import pytest
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import Dependence
-from shj_bayes.mismatch.data import ErrorParameters, scene_of
+from shj_bayes.mismatch.data import ErrorParameters, data_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.fitter import Fitter
 from shj_bayes.mismatch.laplace import laplace_under
@@ -38,15 +38,15 @@ def toothed(recordings, *, everywhere=False, height_kN=TOOTH_KN):
 def beside_the_law(recordings):
     """Chatter beside the base law."""
     runs = runs_of(recordings)
-    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
-    _, state = laplace_under(scene, ErrorParameters((0.0, 0.0, 0.0), 0.1), scene.device, scene.z)
-    return scene, chatter_of(scene, state, scene.noise_most_kN)
+    data = data_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    _, state = laplace_under(data, ErrorParameters((0.0, 0.0, 0.0), 0.1), data.device, data.z)
+    return data, chatter_of(data, state, data.noise_most_kN)
 
 
 def test_teeth_on_the_plateaus_are_chatter_of_their_size(trials):
-    scene, found = beside_the_law(toothed(trials.simulate({}, 3, noise="white")))
+    data, found = beside_the_law(toothed(trials.simulate({}, 3, noise="white")))
     assert found is not None
-    assert found.size * scene.scale_kN == pytest.approx(TOOTH_KN, rel=0.35)
+    assert found.size * data.scale_kN == pytest.approx(TOOTH_KN, rel=0.35)
     assert 0.2 < found.share < 0.6
     assert found.of_strokes.max() >= found.size
 
@@ -127,8 +127,8 @@ def test_more_force_where_it_chatters_most_is_not_of_its_making():
 def _matters(action, coordinate, value):
     """Size that a class must have beside teeth in push, with a value of its parameter."""
     quiet = SimpleNamespace(fluctuation=0.0, is_rough=False)
-    scene = SimpleNamespace(scale_kN=1.0, largest_kN=1.0, device=SimpleNamespace(effects=()))
+    data = SimpleNamespace(scale_kN=1.0, largest_kN=1.0, device=SimpleNamespace(effects=()))
     model = SimpleNamespace(effects=(SimpleNamespace(id="own"),), law_names=("Fy", "own.size"))
     member = SimpleNamespace(of=Dependence(action, coordinate, "1", ()))
     h = SimpleNamespace(members=(member,), state=SimpleNamespace(model=model, z=np.array([0.0, value])))
-    return Search(Fitter(scene, [], quiet), chatter=Chatter(0.1, 0.5, np.ones(2), 0.06, 1.0)).matters_of(h, 0)
+    return Search(Fitter(data, [], quiet), chatter=Chatter(0.1, 0.5, np.ones(2), 0.06, 1.0)).matters_of(h, 0)

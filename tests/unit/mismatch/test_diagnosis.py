@@ -13,7 +13,7 @@ from shj_bayes.errors import ModelError
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import classes as all_classes
 from shj_bayes.mismatch.content import heldout as heldout_row
-from shj_bayes.mismatch.data import BinnedData, ErrorParameters, scene_of
+from shj_bayes.mismatch.data import BinnedData, ErrorParameters, data_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.findings import Reason, answer_of
 from shj_bayes.mismatch.fitter import noise_beside
@@ -62,10 +62,10 @@ def is_right(record, truth: set[str]) -> bool:
     return found == truth if record["verdict"] == "named" else record["verdict"] == "family" and truth <= names(record)
 
 
-def scene_of_key(key: Key) -> BinnedData:
+def data_of_key(key: Key) -> BinnedData:
     """BinnedData of the device that a key of the proof describes, under the rule that it follows."""
     runs = runs_of([one.recording for one in make(key)])
-    return scene_of(runs, DeviceModel(len(runs), read_priors("afc"), variant=key.reversal))
+    return data_of(runs, DeviceModel(len(runs), read_priors("afc"), variant=key.reversal))
 
 
 @pytest.fixture(scope="module")
@@ -98,14 +98,14 @@ def test_where_a_constant_was_fitted_first_the_law_alone_is_followed_too(trials,
     followed: list[frozenset[str]] = []
 
     def constant_first(out):
-        h = out.fitter.fitted((out.fitter.candidates_of("added over constant")[0],), np.append(out.scene.z, 0.5))
+        h = out.fitter.fitted((out.fitter.candidates_of("added over constant")[0],), np.append(out.data.z, 0.5))
         return out.keep(replace(h, log_weight=h.log_weight + 1e4))
 
     monkeypatch.setattr("shj_bayes.mismatch.search.try_constant", constant_first)
     monkeypatch.setattr("shj_bayes.mismatch.search.add_one", lambda out, h: followed.append(h.key) or add_one(out, h))
     runs = runs_of(trials.simulate({"asymmetry": {"size": 0.03}}, 51))
-    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
-    search(scene, [one for one in all_classes() if one.coordinate in ("direction", "constant")])
+    data = data_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    search(data, [one for one in all_classes() if one.coordinate in ("direction", "constant")])
     assert {frozenset(), frozenset({"added over constant"})} <= set(followed)
 
 
@@ -120,19 +120,19 @@ def test_a_load_cell_that_is_off_by_more_than_matters_is_a_constant_force(trials
 def test_a_constant_of_many_times_the_friction_is_as_large_as_it_is(trials):
     """A test that begins under it begins far beyond what the law alone could carry."""
     pressed = [Recording(r.time_s, r.displacement_mm, r.force_kN + 1500.0) for r in trials.simulate({}, 52)]
-    scene = scene_of(runs_of(pressed), DeviceModel(2, read_priors("general")))
-    out = search(scene, [one for one in all_classes() if one.coordinate == "constant"])
+    data = data_of(runs_of(pressed), DeviceModel(2, read_priors("general")))
+    out = search(data, [one for one in all_classes() if one.coordinate == "constant"])
     (finding,) = answer_of(out).findings
-    assert finding.size * scene.scale_kN == pytest.approx(1500.0, rel=0.02)
+    assert finding.size * data.scale_kN == pytest.approx(1500.0, rel=0.02)
 
 
 def test_a_trough_too_steep_for_a_smooth_curve_over_the_distance_is_still_one_of_the_distance():
     """A finer curve over position follows it best; a formula over the distance follows that curve."""
     key = development_keys(101, 43, "one")[-1]
     assert [effect.id for effect in key.effects] == ["centre_wear_trough"]
-    scene = scene_of_key(key)
+    data = data_of_key(key)
     looked = [one for one in all_classes() if one.coordinate in ("position", "distance") and one.action == "capacity"]
-    out = search(scene, looked)
+    out = search(data, looked)
     assert out.best.key == {"capacity over position"}
     (finding,) = answer_of(out).findings
     assert (finding.member.of.coordinate, finding.names) == ("distance", (("centre_wear", 1.0),))
@@ -146,8 +146,8 @@ def test_a_drift_is_told_from_noise_that_drifts(number, concealed):
     """Beside noise with a memory of twice the test no drift is needed; beside a fine curve nothing is slow noise."""
     key = draw_keys(20901126, 400)[number - 1]
     assert key.nuisance.noise == "slow drift"
-    scene = scene_of_key(key)
-    answer = answer_of(search(scene, all_classes()))
+    data = data_of_key(key)
+    answer = answer_of(search(data, all_classes()))
     assert answer.verdict.value == "named"
     assert {finding.member.of.id for finding in answer.findings} == concealed
     assert {name for finding in answer.findings for name, _ in finding.names} <= {"drift", "asymmetry"}
@@ -179,14 +179,14 @@ def test_noise_beside_what_the_law_misses_is_at_most_that_of_a_load_cell(trials)
     """Several large effects that no single class makes up for: without a limit, noise of tens of per cent takes all."""
     several = {"slack": {"size": 3.0}, "asymmetry": {"size": 0.25}}
     runs = runs_of(trials.simulate(several, 63))
-    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
-    _, state = laplace_under(scene, ErrorParameters((0.0, 0.0, 0.0), 0.1), scene.device, scene.z)
-    free = find_noise(scene, state, np.zeros((state.residual.size, 0)))
-    bound = noise_beside(scene, state, [], None).setting
-    assert free.size_kN(scene) > 2.0 * scene.noise_most_kN
-    assert bound.size_kN(scene) == pytest.approx(scene.noise_most_kN, rel=1e-6)
-    assert free.at_most(scene, 1e3) is free
-    assert free.at_most(scene, 0.5).size_kN(scene) == pytest.approx(0.5, rel=1e-6)
+    data = data_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    _, state = laplace_under(data, ErrorParameters((0.0, 0.0, 0.0), 0.1), data.device, data.z)
+    free = find_noise(data, state, np.zeros((state.residual.size, 0)))
+    bound = noise_beside(data, state, [], None).setting
+    assert free.size_kN(data) > 2.0 * data.noise_most_kN
+    assert bound.size_kN(data) == pytest.approx(data.noise_most_kN, rel=1e-6)
+    assert free.at_most(data, 1e3) is free
+    assert free.at_most(data, 0.5).size_kN(data) == pytest.approx(0.5, rel=1e-6)
 
 
 def test_what_comes_again_is_found_with_its_period(trials, look):
@@ -340,8 +340,8 @@ def lost_clamping(trials):
     """A device that suddenly loses a tenth of its clamping, and the finished search on it."""
     recordings = trials.simulate({}, 6, clamping=lambda h: 1.0 - 0.1 * (h.travel_m > 2.5))
     runs = runs_of(recordings)
-    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
-    return search(scene, all_classes())
+    data = data_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    return search(data, all_classes())
 
 
 def test_a_sudden_change_predicts_cycles_that_were_left_out(lost_clamping):
@@ -356,8 +356,8 @@ def test_a_sudden_change_predicts_cycles_that_were_left_out(lost_clamping):
 
 
 def test_what_does_not_improve_cycles_that_were_left_out_is_not_named(lost_clamping, monkeypatch):
-    def worse(scene, metric, state):
-        held, more = held_out(scene, metric, state), 3.0 if state.model.effects else 1.0
+    def worse(data, metric, state):
+        held, more = held_out(data, metric, state), 3.0 if state.model.effects else 1.0
         return replace(held, squares=held.squares * more**2, log_density=held.log_density * more)
 
     monkeypatch.setattr(proven_module, "held_out", worse)
@@ -470,8 +470,8 @@ def test_the_paper_is_rediscovered_without_velocity(look):
 
 
 def test_the_displacement_history_alone_tells_what_looks_alike(trials):
-    scene = scene_of(runs_of(trials.simulate({}, 9)), DeviceModel(2, read_priors("afc")))
-    found = aliases_of(scene)
+    data = data_of(runs_of(trials.simulate({}, 9)), DeviceModel(2, read_priors("afc")))
+    found = aliases_of(data)
     pairs = {frozenset(a.pair) for a in found}
     assert frozenset(("asymmetry", "load_offset")) in pairs
     assert frozenset(("thermal", "wear")) in pairs

@@ -21,62 +21,62 @@ NOISE = {"sigma_white": 0.8, "sigma_slow": 0.6, "tau_slow": 1.0}
 
 
 @pytest.fixture(scope="module")
-def scene(small_device, as_vector) -> BinnedData:
+def data(small_device, as_vector) -> BinnedData:
     """Two short runs, at the parameters that they were simulated from."""
     z = small_device.model.unbounded(as_vector(small_device))[0, : small_device.model.n_law]
     return BinnedData(small_device, z)
 
 
 @pytest.fixture(scope="module")
-def metric(scene: BinnedData) -> ErrorModel:
-    laws = scene.device.laws_of_parameters[scene.device.n_law :]
+def metric(data: BinnedData) -> ErrorModel:
+    laws = data.device.laws_of_parameters[data.device.n_law :]
     z = tuple(float(law.to_free(np.asarray(NOISE[law.name]))) for law in laws)
-    slope = scene.residual_and_slope(scene.device, scene.z[None])[1][0]
-    return ErrorModel(scene, ErrorParameters(z, 0.7), slope)
+    slope = data.residual_and_slope(data.device, data.z[None])[1][0]
+    return ErrorModel(data, ErrorParameters(z, 0.7), slope)
 
 
 @pytest.fixture(scope="module")
-def covariance(scene: BinnedData, metric: ErrorModel) -> np.ndarray:
+def covariance(data: BinnedData, metric: ErrorModel) -> np.ndarray:
     """Of all that is no parameter, of the blocks that are evidence; `whiten` has its own tests."""
-    root = metric.whitened(np.eye(scene.used.size))
-    used = scene.used > 0
+    root = metric.whitened(np.eye(data.used.size))
+    used = data.used > 0
     noise = np.linalg.inv(root[:, used].T @ root[:, used])
-    functions = metric.setting.model_error_kN * scene.discrepancy[used]
-    zero_kN = np.array([part.timing.zero_noise_kN for part in scene.posterior.averages])
-    run = np.concatenate([np.full(part.n, i) for i, part in enumerate(scene.posterior.averages)])[used]
+    functions = metric.setting.model_error_kN * data.discrepancy[used]
+    zero_kN = np.array([part.timing.zero_noise_kN for part in data.posterior.averages])
+    run = np.concatenate([np.full(part.n, i) for i, part in enumerate(data.posterior.averages)])[used]
     zeros = np.where(run[:, None] == run, zero_kN[run] ** 2, 0.0)
-    memory = scene.memory[used]
+    memory = data.memory[used]
     assert np.abs(memory).max() > 1.0
-    starts = (scene.starts(metric.slope) * scene.start_mm)[used]
+    starts = (data.starts(metric.slope) * data.start_mm)[used]
     assert np.abs(starts).max() > 0.1
     return np.asarray(noise + functions @ functions.T + memory @ memory.T + starts @ starts.T + zeros)
 
 
 @pytest.fixture(scope="module")
-def state(scene: BinnedData, metric: ErrorModel) -> Laplace:
-    return laplace(scene, metric, scene.device, scene.z)
+def state(data: BinnedData, metric: ErrorModel) -> Laplace:
+    return laplace(data, metric, data.device, data.z)
 
 
-def test_the_parameters_of_the_noise_are_read_back(scene: BinnedData, metric: ErrorModel) -> None:
-    assert metric.setting.values(scene) == pytest.approx(NOISE)
+def test_the_parameters_of_the_noise_are_read_back(data: BinnedData, metric: ErrorModel) -> None:
+    assert metric.setting.values(data) == pytest.approx(NOISE)
 
 
-def test_noise_may_be_rougher_at_low_speed(scene: BinnedData, metric: ErrorModel) -> None:
+def test_noise_may_be_rougher_at_low_speed(data: BinnedData, metric: ErrorModel) -> None:
     """The covariance is scaled on both sides by a factor of the speed; the constant follows it."""
-    rough = ErrorModel(scene, replace(metric.setting, at_rest=math.log(3.0)), metric.slope)
-    used = scene.used > 0
-    speed = scene.channel("speed_mm_s")[used]
-    more = rougher(math.log(3.0), scene.slow)
+    rough = ErrorModel(data, replace(metric.setting, at_rest=math.log(3.0)), metric.slope)
+    used = data.used > 0
+    speed = data.channel("speed_mm_s")[used]
+    more = rougher(math.log(3.0), data.slow)
     assert more[used][np.argmin(speed)] == pytest.approx(3.0, rel=0.02)
     assert more[used][np.argmax(speed)] == pytest.approx(1.0, abs=0.01)
-    still = ErrorModel(scene, rough.setting, np.zeros(metric.slope.size))
-    plain = ErrorModel(scene, metric.setting, np.zeros(metric.slope.size))
-    column = np.random.default_rng(3).normal(0, 1, (scene.used.size, 1))
+    still = ErrorModel(data, rough.setting, np.zeros(metric.slope.size))
+    plain = ErrorModel(data, metric.setting, np.zeros(metric.slope.size))
+    column = np.random.default_rng(3).normal(0, 1, (data.used.size, 1))
     columns = (column, column / more[:, None])
     own, other = (m.whitened(c) for m, c in zip((still, plain), columns, strict=True))
     np.testing.assert_allclose(own, other, rtol=1e-12)
-    (_, log_all), (_, log_plain) = (m.setting.whitened(scene, column, m.slope) for m in (still, plain))
-    priors = still.setting.log_prior(scene) - plain.setting.log_prior(scene)
+    (_, log_all), (_, log_plain) = (m.setting.whitened(data, column, m.slope) for m in (still, plain))
+    priors = still.setting.log_prior(data) - plain.setting.log_prior(data)
     assert log_all - log_plain == pytest.approx(priors - np.log(more[used]).sum())
     assert rough.fluctuation == pytest.approx(3.0 * metric.fluctuation)
     assert not metric.is_slow
@@ -112,46 +112,46 @@ def test_derivatives_after_the_coefficients_of_curves(make_small, effects, varia
 
 
 def test_noise_under_which_columns_are_one_to_rounding_is_not_the_most_probable(
-    scene: BinnedData, metric: ErrorModel
+    data: BinnedData, metric: ErrorModel
 ) -> None:
     """Columns of such a size that only under large noise something is left of one beside the other."""
-    _, state = laplace_under(scene, metric.setting, scene.device, scene.z)
+    _, state = laplace_under(data, metric.setting, data.device, data.z)
     rng = np.random.default_rng(4)
-    columns = 1e9 * rng.normal(0, 1, (scene.used.size, 1)) * scene.used[:, None] * rng.uniform(0.5, 2.0, 12)
+    columns = 1e9 * rng.normal(0, 1, (data.used.size, 1)) * data.used[:, None] * rng.uniform(0.5, 2.0, 12)
     with pytest.raises(np.linalg.LinAlgError):
         _ = metric.gaussian(state.beside(columns)).log_evidence
-    found = find_noise(scene, state, columns, metric.setting)
+    found = find_noise(data, state, columns, metric.setting)
     assert np.all(np.isfinite(found.z))
 
 
-def test_noise_is_remembered_for_a_quarter_of_a_run_at_most(scene: BinnedData, metric: ErrorModel) -> None:
+def test_noise_is_remembered_for_a_quarter_of_a_run_at_most(data: BinnedData, metric: ErrorModel) -> None:
     """A force that goes one way throughout is a drift: it is not known to come back."""
-    _, state = laplace_under(scene, metric.setting, scene.device, scene.z)
-    time = scene.channel("time_s")
-    lasts = max(float(np.ptp(part.history.time_s)) for part in scene.posterior.averages)
-    drifting = replace(state, residual=state.residual + 20.0 * time / lasts * scene.used)
+    _, state = laplace_under(data, metric.setting, data.device, data.z)
+    time = data.channel("time_s")
+    lasts = max(float(np.ptp(part.history.time_s)) for part in data.posterior.averages)
+    drifting = replace(state, residual=state.residual + 20.0 * time / lasts * data.used)
     none = np.zeros((time.size, 0))
-    free = find_noise(scene, drifting, none, metric.setting).values(scene)["tau_slow"]
+    free = find_noise(data, drifting, none, metric.setting).values(data)["tau_slow"]
     assert free == pytest.approx(0.25 * lasts, rel=1e-6)
-    assert find_noise(scene, state, none, metric.setting).values(scene)["tau_slow"] < 0.2 * lasts
+    assert find_noise(data, state, none, metric.setting).values(data)["tau_slow"] < 0.2 * lasts
 
 
-def test_products_are_those_of_the_covariance(scene: BinnedData, metric: ErrorModel, covariance: np.ndarray) -> None:
-    columns = np.random.default_rng(1).normal(0, 3, (scene.used.size, 4))
-    own = columns[scene.used > 0]
+def test_products_are_those_of_the_covariance(data: BinnedData, metric: ErrorModel, covariance: np.ndarray) -> None:
+    columns = np.random.default_rng(1).normal(0, 3, (data.used.size, 4))
+    own = columns[data.used > 0]
     np.testing.assert_allclose(metric.products(columns), own.T @ np.linalg.solve(covariance, own), rtol=1e-7)
     assert metric.products(columns)[0, 0] < np.sum(metric.whitened(columns)[:, 0] ** 2)
 
 
 def test_evidence_is_the_density_with_parameters_and_discrepancy_integrated_out(
-    scene: BinnedData, metric: ErrorModel, covariance: np.ndarray
+    data: BinnedData, metric: ErrorModel, covariance: np.ndarray
 ) -> None:
     rng = np.random.default_rng(2)
-    used = scene.used > 0
+    used = data.used > 0
     for v in (np.ones(3), np.array([0.3, 4.0, 1.0])):
         y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, (used.size, 3))
         whole = covariance + columns[used] @ np.diag(v) @ columns[used].T
-        relative = 0.7 / (MODEL_ERROR * scene.scale_kN)
+        relative = 0.7 / (MODEL_ERROR * data.scale_kN)
         prior = -0.5 * float(np.dot(metric.setting.z, metric.setting.z)) - 0.5 * relative**2 + math.log(relative)
         expected = multivariate_normal(np.zeros(used.sum()), whole).logpdf(y[used]) + prior
         got = metric.gaussian(np.column_stack([y, columns])).sized(np.sqrt(v)).log_evidence
@@ -159,10 +159,10 @@ def test_evidence_is_the_density_with_parameters_and_discrepancy_integrated_out(
 
 
 def test_solving_gives_mean_and_covariance_of_the_parameters(
-    scene: BinnedData, metric: ErrorModel, covariance: np.ndarray
+    data: BinnedData, metric: ErrorModel, covariance: np.ndarray
 ) -> None:
     rng = np.random.default_rng(3)
-    used = scene.used > 0
+    used = data.used > 0
     y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, (used.size, 3))
     found = metric.gaussian(np.column_stack([y, columns]))
     a = columns[used]
@@ -172,87 +172,87 @@ def test_solving_gives_mean_and_covariance_of_the_parameters(
 
 
 def test_the_discrepancy_takes_up_what_is_most_probable(
-    scene: BinnedData, metric: ErrorModel, covariance: np.ndarray
+    data: BinnedData, metric: ErrorModel, covariance: np.ndarray
 ) -> None:
-    used = scene.used > 0
+    used = data.used > 0
     residual = np.random.default_rng(4).normal(0, 2, used.size)
-    functions = scene.discrepancy
+    functions = data.discrepancy
     expected = 0.7**2 * functions @ functions[used].T @ np.linalg.solve(covariance, residual[used])
     np.testing.assert_allclose(metric.discrepancy_of(residual), expected, rtol=1e-6, atol=1e-9)
 
 
-def test_a_difference_of_push_and_pull_is_no_discrepancy(scene: BinnedData) -> None:
+def test_a_difference_of_push_and_pull_is_no_discrepancy(data: BinnedData) -> None:
     for sign in (-1.0, 1.0):
-        own = (np.sign(scene.channel("direction")) == sign) & (scene.used > 0)
-        assert np.abs(scene.discrepancy[own].mean(axis=0)).max() < 1e-12
-    assert np.abs(scene.discrepancy).max() > 0.1
+        own = (np.sign(data.channel("direction")) == sign) & (data.used > 0)
+        assert np.abs(data.discrepancy[own].mean(axis=0)).max() < 1e-12
+    assert np.abs(data.discrepancy).max() > 0.1
 
 
-def test_derivatives_are_those_of_the_force(scene: BinnedData) -> None:
-    residual = scene.residual(scene.device, scene.z[None])[0]
-    columns = scene.jacobian(scene.device, scene.z, residual)
+def test_derivatives_are_those_of_the_force(data: BinnedData) -> None:
+    residual = data.residual(data.device, data.z[None])[0]
+    columns = data.jacobian(data.device, data.z, residual)
     step = 1e-3
-    for i in range(scene.z.size):
-        away = np.stack([scene.z, scene.z])
+    for i in range(data.z.size):
+        away = np.stack([data.z, data.z])
         away[:, i] += [step, -step]
-        force = scene.measured_kN - scene.residual(scene.device, away)
-        used = scene.used > 0
+        force = data.measured_kN - data.residual(data.device, away)
+        used = data.used > 0
         middle = (force[0] - force[1]) / (2 * step)
         assert np.abs(columns[:, i] - middle)[used].max() < 0.01 * np.abs(middle).max()
 
 
 def test_settling_reaches_the_least_squares_of_a_law(
-    scene: BinnedData, metric: ErrorModel, covariance: np.ndarray, state: Laplace
+    data: BinnedData, metric: ErrorModel, covariance: np.ndarray, state: Laplace
 ) -> None:
     """From afar, against a general minimiser with the covariance written out; and the truth lies near."""
-    used = scene.used > 0
+    used = data.used > 0
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
 
     def misfit(z: np.ndarray) -> np.ndarray:
-        return np.concatenate([root @ scene.residual(scene.device, z[None])[0][used], z])
+        return np.concatenate([root @ data.residual(data.device, z[None])[0][used], z])
 
-    best = least_squares(misfit, scene.z, method="lm", diff_step=1e-4).x
-    far = laplace(scene, metric, scene.device, scene.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: scene.z.size]))
+    best = least_squares(misfit, data.z, method="lm", diff_step=1e-4).x
+    far = laplace(data, metric, data.device, data.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: data.z.size]))
     sd = np.sqrt(np.diag(state.covariance))
     for one in (state, far):
         assert np.all(np.abs(one.z - best) < 0.2 * sd)
-        assert np.all(np.abs(one.z - scene.z) < 4.0 * sd)
+        assert np.all(np.abs(one.z - data.z) < 4.0 * sd)
         assert one.evidence == pytest.approx(one.gaussian.log_evidence, abs=0.05)
-    np.testing.assert_allclose(state.residual, scene.residual(scene.device, state.z[None])[0])
+    np.testing.assert_allclose(state.residual, data.residual(data.device, state.z[None])[0])
 
 
 def test_settling_stops_where_steps_like_the_last_would_not_do(
-    scene: BinnedData, metric: ErrorModel, state: Laplace
+    data: BinnedData, metric: ErrorModel, state: Laplace
 ) -> None:
     """One that is out of reach costs a step; one within reach changes nothing."""
-    start = scene.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: scene.z.size])
-    whole = laplace(scene, metric, scene.device, start)
-    within, beyond = (laplace(scene, metric, scene.device, start, whole.evidence + up) for up in (-10.0, 1e6))
+    start = data.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: data.z.size])
+    whole = laplace(data, metric, data.device, start)
+    within, beyond = (laplace(data, metric, data.device, start, whole.evidence + up) for up in (-10.0, 1e6))
     np.testing.assert_array_equal(within.z, whole.z)
-    first = metric.log_constant - 0.5 * float(metric.products(scene.residual(scene.device, start[None]).T)[0, 0])
+    first = metric.log_constant - 0.5 * float(metric.products(data.residual(data.device, start[None]).T)[0, 0])
     assert first < beyond.evidence < whole.evidence - 1.0
-    np.testing.assert_array_equal(beyond.residual, scene.residual(scene.device, beyond.z[None])[0])
+    np.testing.assert_array_equal(beyond.residual, data.residual(data.device, beyond.z[None])[0])
 
 
-def test_what_parameters_can_make_up_for_is_not_visible(scene: BinnedData, state: Laplace) -> None:
+def test_what_parameters_can_make_up_for_is_not_visible(data: BinnedData, state: Laplace) -> None:
     follow = state.jacobian @ np.arange(1.0, state.z.size + 1)
-    wave = np.sin(scene.channel("position_mm")) * scene.scale_kN * 0.1
-    sizes = visible(scene, state.jacobian, np.column_stack([follow, wave + follow]))
+    wave = np.sin(data.channel("position_mm")) * data.scale_kN * 0.1
+    sizes = visible(data, state.jacobian, np.column_stack([follow, wave + follow]))
     assert sizes[0] < 1e-9
     assert 0.05 < sizes[1] < 0.15
 
 
 def test_the_size_of_a_change_is_that_of_99_percent_of_the_samples_not_of_the_blocks(
-    scene: BinnedData, state: Laplace
+    data: BinnedData, state: Laplace
 ) -> None:
     """Blocks lie close where the force bends, and hold many samples where the device is slow."""
-    used = scene.used > 0
-    order = np.argsort(scene.count)[::-1]
-    order = order[: int(np.searchsorted(np.cumsum(scene.count[order]), 0.0105 * scene.count.sum())) + 1]
+    used = data.used > 0
+    order = np.argsort(data.count)[::-1]
+    order = order[: int(np.searchsorted(np.cumsum(data.count[order]), 0.0105 * data.count.sum())) + 1]
     assert order.size < 0.01 * used.sum()  # a quantile over blocks would not see them
     change = np.zeros(used.size)
-    change[order] = scene.scale_kN
-    assert visible(scene, np.zeros((used.size, 0)), change[:, None])[0] == pytest.approx(1.0)
+    change[order] = data.scale_kN
+    assert visible(data, np.zeros((used.size, 0)), change[:, None])[0] == pytest.approx(1.0)
 
 
 WANTED = ("capacity over travel", "capacity over position", "added over time", "motion over slack",
@@ -264,10 +264,10 @@ def wanted() -> tuple[Dependence, ...]:
 
 
 def test_the_gain_of_a_candidate_is_a_difference_of_evidence(
-    scene: BinnedData, metric: ErrorModel, state: Laplace
+    data: BinnedData, metric: ErrorModel, state: Laplace
 ) -> None:
     """Averaged over sizes before the test, with the weight of the variant; each on its own."""
-    looked = candidates(scene, state, wanted())
+    looked = candidates(data, state, wanted())
     wide = [state.residual + state.jacobian @ state.z, state.jacobian]
     without = metric.gaussian(np.column_stack(wide)).log_evidence
     screened = {id(c.columns): c for c in screen(metric, state, looked)}
@@ -292,14 +292,14 @@ def test_the_gain_of_a_candidate_is_a_difference_of_evidence(
     assert gains == sorted(gains, reverse=True)
 
 
-def test_a_change_is_what_the_larger_model_would_add(scene: BinnedData, metric: ErrorModel, state: Laplace) -> None:
+def test_a_change_is_what_the_larger_model_would_add(data: BinnedData, metric: ErrorModel, state: Laplace) -> None:
     """Of a residual that holds a known curve, to first order."""
-    looked = [c for c in candidates(scene, state, wanted()) if c.of.id == "added over time" and c.variant.curve]
+    looked = [c for c in candidates(data, state, wanted()) if c.of.id == "added over time" and c.variant.curve]
     one = min(looked, key=lambda c: c.columns.shape[1])
     truth = one.columns @ np.array([2.0, -1.0, *np.zeros(one.columns.shape[1] - 2)])
     got = screen(metric, replace(state, residual=state.residual + truth), [one])[0]
     assert got.gain > 50.0
-    assert np.percentile(np.abs(got.change - truth)[scene.used > 0], 90) < 0.35 * np.abs(truth).max()
+    assert np.percentile(np.abs(got.change - truth)[data.used > 0], 90) < 0.35 * np.abs(truth).max()
 
 
 def test_weights_of_sizes_and_variants_are_probabilities() -> None:
@@ -325,11 +325,11 @@ def test_a_class_goes_when_all_its_mechanisms_are_hidden() -> None:
 
 
 def test_held_out_cycles_are_those_of_a_refit(
-    scene: BinnedData, metric: ErrorModel, state: Laplace, monkeypatch: pytest.MonkeyPatch
+    data: BinnedData, metric: ErrorModel, state: Laplace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For a linear model the refit has a closed form: here it is written out with the covariance of what is left."""
     rng = np.random.default_rng(5)
-    used = scene.used > 0
+    used = data.used > 0
     y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, state.jacobian.shape) * used[:, None]
 
     def residual_and_slope(self: BinnedData, model: object, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -337,14 +337,14 @@ def test_held_out_cycles_are_those_of_a_refit(
 
     monkeypatch.setattr(BinnedData, "residual_and_slope", residual_and_slope)
     monkeypatch.setattr(BinnedData, "jacobian", lambda *_: columns)
-    got = held_out(scene, metric, state)
-    cycle = cycles_of(scene)
-    first = {int(cycle[0]), int(cycle[scene.posterior.averages[0].n])}
+    got = held_out(data, metric, state)
+    cycle = cycles_of(data)
+    first = {int(cycle[0]), int(cycle[data.posterior.averages[0].n])}
     left_out = [one for one in np.unique(cycle[used]) if one not in first]
     assert got.log_density.size == len(left_out) > 2
     assert got.rmse_kN == pytest.approx(np.sqrt(np.mean(got.residual[np.isin(cycle, left_out) & used] ** 2)))
-    white = metric.whitened(np.column_stack([y, columns, metric.missed * metric.setting.sizes(scene)]))
-    n, told = columns.shape[1], scene.discrepancy.shape[1]
+    white = metric.whitened(np.column_stack([y, columns, metric.missed * metric.setting.sizes(data)]))
+    n, told = columns.shape[1], data.discrepancy.shape[1]
     parts = min(PARTS, len(left_out))
     for i, one in enumerate(left_out):
         seen = ~np.isin(cycle[used], left_out[i % parts :: parts])
@@ -353,22 +353,22 @@ def test_held_out_cycles_are_those_of_a_refit(
         mean = np.linalg.solve(gram, rest[:, 1:].T @ rest[:, 0])
         mean[n : n + told] = 0.0  # the discrepancy is no prediction
         raw = np.flatnonzero(used & (cycle == one))
-        everything = np.column_stack([columns, metric.missed * metric.setting.sizes(scene)])
+        everything = np.column_stack([columns, metric.missed * metric.setting.sizes(data)])
         np.testing.assert_allclose(got.residual[raw], y[raw] - everything[raw] @ mean, rtol=1e-3, atol=2e-2)
 
 
-def test_an_error_of_the_start_moves_the_first_half_cycle(scene: BinnedData, metric: ErrorModel) -> None:
+def test_an_error_of_the_start_moves_the_first_half_cycle(data: BinnedData, metric: ErrorModel) -> None:
     """Against the law itself along a motion whose first turning point lies elsewhere, and with another first force."""
-    theta = scene.device.natural_of_law(scene.z[None])
-    column = scene.starts(metric.slope)
-    stiffness = scene.device.law_values(scene.z)["K"]
-    for run, part in enumerate(scene.posterior.averages):
+    theta = data.device.natural_of_law(data.z[None])
+    column = data.starts(metric.slope)
+    stiffness = data.device.law_values(data.z)["K"]
+    for run, part in enumerate(data.posterior.averages):
         motion, step = part.history.motion, 1e-4
         away = np.append(motion.turning_mm[0] + step, motion.turning_mm[1:])
         moved = replace(part.history, motion=replace(motion, turning_mm=away))
-        force = [part.residual_and_slope(scene.device.force(theta, h, 0.0))[0][0] for h in (moved, part.history)]
-        loaded = part.residual_and_slope(scene.device.force(theta, part.history, step * stiffness))[0][0]
-        place = sum(one.n for one in scene.posterior.averages[:run])
+        force = [part.residual_and_slope(data.device.force(theta, h, 0.0))[0][0] for h in (moved, part.history)]
+        loaded = part.residual_and_slope(data.device.force(theta, part.history, step * stiffness))[0][0]
+        place = sum(one.n for one in data.posterior.averages[:run])
         own = column[place : place + part.n, run]
         first = slice(0, int(part.timing.half[1]))
         assert np.abs(own[first]).max() > 0.5 * stiffness

@@ -41,12 +41,12 @@ def search(monkeypatch):
     }
     found = {frozenset(names): _hypothesis(*names) for names in known}
 
-    def draws(scene, h, place):
+    def draws(data, h, place):
         """Every tenth draw is half as large again."""
         return known[tuple(m.of.id for m in h.members)][place] * np.array([1.0] * 9 + [1.5])
 
     monkeypatch.setattr(sizes, "sizes_of", draws)
-    own = {"scene": None, "matters": 0.01, "matters_of": lambda h, place: 0.01, "best_within": lambda key: 0.0}
+    own = {"data": None, "matters": 0.01, "matters_of": lambda h, place: 0.01, "best_within": lambda key: 0.0}
     return SimpleNamespace(found=found | {frozenset(): _hypothesis()}, **own)
 
 
@@ -66,13 +66,13 @@ def test_sizes_are_those_there_are_where_the_smaller_set_was_not_fitted(search):
 
 def test_a_constant_is_as_large_as_it_is_also_where_the_law_could_make_up_for_it(monkeypatch):
     """The law makes no constant, but where it begins loaded its slopes may look like one."""
-    scene = SimpleNamespace(used=np.ones(40), count=np.ones(40), scale_kN=10.0)
+    data = SimpleNamespace(used=np.ones(40), count=np.ones(40), scale_kN=10.0)
     monkeypatch.setattr(sizes, "_change", lambda *_: np.full((1, 40), -3.0))
     monkeypatch.setattr(sizes, "_law_slopes", lambda *_: np.ones((40, 1)))
     for name, size in (("added over constant", 0.3), ("taper", 0.0)):
         h = _hypothesis(name)
         h.state = SimpleNamespace(z=np.zeros(1))
-        assert sizes.size_of(scene, h, 0) == pytest.approx(size, abs=1e-12)
+        assert sizes.size_of(data, h, 0) == pytest.approx(size, abs=1e-12)
 
 
 def test_a_class_matters_when_the_upper_limit_of_its_size_does(search):
@@ -85,8 +85,8 @@ def test_a_draw_without_a_force_does_not_make_a_class_small(monkeypatch):
     h.state = SimpleNamespace(z=np.zeros(1))
     forces = {0: np.where(np.arange(60) == 7, np.nan, 0.2), 1: np.full(60, 0.002)}
     monkeypatch.setattr(sizes, "drawn_from", lambda state, n: np.zeros((n, 1)))
-    monkeypatch.setattr(sizes, "_sizes_at", lambda scene, h, place, z: forces[place])
-    out = SimpleNamespace(scene=None, found={}, matters_of=lambda h, place: 0.01)
+    monkeypatch.setattr(sizes, "_sizes_at", lambda data, h, place, z: forces[place])
+    out = SimpleNamespace(data=None, found={}, matters_of=lambda h, place: 0.01)
     assert findings.that_matter(out, h) == {"delay"}
 
 
@@ -101,7 +101,7 @@ def test_what_is_left_within_strokes_that_chatter_is_no_more_than_the_teeth(left
 
 def test_a_class_is_there_or_what_the_formulas_of_larger_ones_miss(search, monkeypatch):
     """One after another, beside all that are larger; the largest is there."""
-    monkeypatch.setattr(findings, "size_of", lambda scene, h, place: (0.1, 0.012, 0.08)[place])
+    monkeypatch.setattr(findings, "size_of", lambda data, h, place: (0.1, 0.012, 0.08)[place])
     known = {frozenset({"delay", "taper"}): 3.0, frozenset({"delay", "wear"}): -4.0, frozenset({"wear", "taper"}): 0.0}
     search.found = {key: _hypothesis(*sorted(key)) for key in known}
     least = {frozenset({"delay", "taper"}): -9.0, frozenset({"delay", "wear"}): -50.0}
@@ -133,11 +133,11 @@ def test_a_class_is_there_or_what_the_formulas_of_larger_ones_miss(search, monke
 def test_a_formula_that_leaves_more_of_a_curve_than_it_explains_is_not_its_name(size, away, is_name, monkeypatch):
     form = SimpleNamespace(of=SimpleNamespace(id="taper", action="capacity"), start=np.zeros(1))
     as_curve, as_form = _hypothesis("taper"), SimpleNamespace(members=(form,), log_weight=-50.0)
-    fitter = SimpleNamespace(scene=None, forms=lambda h, place: [form], fitted=lambda *_: as_form)
-    out = SimpleNamespace(scene=None, fitter=fitter, best_within=lambda key: -100.0)
-    monkeypatch.setattr(sizes, "size_of", lambda scene, h, place: size)
-    monkeypatch.setattr(findings, "largest_size_of", lambda scene, h, place: size)
-    monkeypatch.setattr("shj_bayes.mismatch.moves.force_distance", lambda scene, a, b: away)
+    fitter = SimpleNamespace(data=None, forms=lambda h, place: [form], fitted=lambda *_: as_form)
+    out = SimpleNamespace(data=None, fitter=fitter, best_within=lambda key: -100.0)
+    monkeypatch.setattr(sizes, "size_of", lambda data, h, place: size)
+    monkeypatch.setattr(findings, "largest_size_of", lambda data, h, place: size)
+    monkeypatch.setattr("shj_bayes.mismatch.moves.force_distance", lambda data, a, b: away)
     assert (findings._followed(out, as_curve, 0) is as_form) == is_name
 
 
@@ -181,8 +181,8 @@ def test_a_class_in_every_hypothesis_is_there_with_a_probability_of_1_at_most(mo
 @pytest.mark.parametrize(("size_kN", "capped"), [(0.30, True), (0.29, False)])
 def test_noise_at_the_most_that_a_load_cell_may_have_is_capped(size_kN, capped):
     """Then no two dependences are looked for in the place of a curve: what is left fluctuates."""
-    setting = SimpleNamespace(size_kN=lambda scene: size_kN)
-    metric = SimpleNamespace(setting=setting, scene=SimpleNamespace(noise_most_kN=0.3))
+    setting = SimpleNamespace(size_kN=lambda data: size_kN)
+    metric = SimpleNamespace(setting=setting, data=SimpleNamespace(noise_most_kN=0.3))
     assert ErrorModel.is_capped.fget(metric) == capped
 
 
@@ -204,5 +204,5 @@ def test_mechanisms_of_one_probability_stand_in_the_order_of_their_words():
     )
     classes = {word: SimpleNamespace(action="motion", coordinate=word) for word in words}
     fitter = SimpleNamespace(classes=classes, hidden=frozenset())
-    out = SimpleNamespace(fitter=fitter, scene=SimpleNamespace(measured=()))
+    out = SimpleNamespace(fitter=fitter, data=SimpleNamespace(measured=()))
     assert [one.id for one in content.family(out, answer)] == words

@@ -7,7 +7,7 @@ import pytest
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import candidates, classes
-from shj_bayes.mismatch.data import ErrorModel, ErrorParameters, scene_of
+from shj_bayes.mismatch.data import ErrorModel, ErrorParameters, data_of
 from shj_bayes.mismatch.findings import _missed_instead, answer_of
 from shj_bayes.mismatch.fitter import Fitter, noise_of_size
 from shj_bayes.mismatch.hypothesis import joined
@@ -21,8 +21,8 @@ from shj_bayes.model.priors import read_priors
 
 def answered(recordings, *coordinates):
     runs = runs_of(recordings)
-    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
-    out = search(scene, [one for one in classes() if one.coordinate in coordinates])
+    data = data_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    out = search(data, [one for one in classes() if one.coordinate in coordinates])
     return out, answer_of(out)
 
 
@@ -38,7 +38,7 @@ def prying(trials):
 def test_what_a_formula_may_miss_widens_the_parameters_that_it_could_be(prying):
     out, answer = prying
     state = answer.shown.state
-    wide = beside_missed(out.scene, out.metric, state, found(answer))
+    wide = beside_missed(out.data, out.metric, state, found(answer))
     ratio = np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance))
     assert np.all(ratio > 1.0 - 1e-9)
     names = state.model.law_names
@@ -50,7 +50,7 @@ def test_what_a_formula_may_miss_widens_the_parameters_that_it_could_be(prying):
 def test_what_acts_on_the_motion_has_no_curve_that_it_could_miss(trials):
     out, answer = answered(trials.simulate({"slack": {"size": 0.8}}, 4), "slack")
     assert [f.member.of.coordinate for f in answer.findings] == ["slack"]
-    assert curves_of(out.scene, answer.shown.state, answer.shown.members[0].of) is None
+    assert curves_of(out.data, answer.shown.state, answer.shown.members[0].of) is None
 
 
 @pytest.mark.parametrize("name", ["added over constant", "capacity over direction"])
@@ -58,14 +58,14 @@ def test_a_constant_has_no_form_that_could_miss_something(prying, name):
     """A load cell's zero and a factor for each direction are one number each."""
     out, answer = prying
     one = next(c for c in classes() if c.id == name)
-    assert missed_by(out.scene, answer.shown.state, one, 0.1) is None
+    assert missed_by(out.data, answer.shown.state, one, 0.1) is None
 
 
 def test_a_class_too_small_to_matter_widens_the_parameters_that_it_moves(trials):
     out, answer = answered(trials.simulate({"prying": {"size": 0.007, "power": 2.0}}, 2), "distance")
     assert not answer.findings
     state = out.found[frozenset()].state
-    wide = beside_missed(out.scene, out.metric, state, (), tuple(out.fitter.classes.values()))
+    wide = beside_missed(out.data, out.metric, state, (), tuple(out.fitter.classes.values()))
     ratio = np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance))
     assert np.all(ratio > 1.0 - 1e-6)
     assert ratio.max() > 1.2
@@ -74,7 +74,7 @@ def test_a_class_too_small_to_matter_widens_the_parameters_that_it_moves(trials)
 def test_a_class_that_is_not_there_widens_nothing(trials):
     out, _ = answered(trials.simulate({}, 3), "position")
     state = out.found[frozenset()].state
-    wide = beside_missed(out.scene, out.metric, state, (), tuple(out.fitter.classes.values()))
+    wide = beside_missed(out.data, out.metric, state, (), tuple(out.fitter.classes.values()))
     assert np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance)).max() < 1.1
 
 
@@ -88,14 +88,14 @@ def test_a_class_that_is_not_there_widens_nothing(trials):
 def test_what_a_formula_may_miss_over_its_own_coordinate_is_no_other_class(trials, other, coordinate, missed):
     """A slow swing beside wear is wear that its formula misses, to all that can be seen; a taper is not."""
     runs = runs_of(trials.simulate({"wear": {"size": 0.1}} | other, 5))
-    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    data = data_of(runs, DeviceModel(len(runs), read_priors("afc")))
     travel, over = (next(c for c in classes() if c.id == f"capacity over {name}") for name in ("travel", coordinate))
-    metric, rough = laplace_under(scene, ErrorParameters(noise_of_size(scene.device, 1.0), 0.1), scene.device, scene.z)
-    fitter = Fitter(scene, candidates(scene, rough, (travel, over)), metric)
-    form = next(form for form in fitter.forms_of(travel, (), scene.z) if form.variant.effect.id == "wear")
+    metric, rough = laplace_under(data, ErrorParameters(noise_of_size(data.device, 1.0), 0.1), data.device, data.z)
+    fitter = Fitter(data, candidates(data, rough, (travel, over)), metric)
+    form = next(form for form in fitter.forms_of(travel, (), data.z) if form.variant.effect.id == "wear")
     rest = fitter.fitted((form,), form.start)
-    noise = find_noise(scene, rest.state, np.zeros((rest.state.residual.size, 0)))
-    fitter = replace(fitter, metric=ErrorModel(scene, noise, rough.slope))
+    noise = find_noise(data, rest.state, np.zeros((rest.state.residual.size, 0)))
+    fitter = replace(fitter, metric=ErrorModel(data, noise, rough.slope))
     rest = fitter.fitted((form,), rest.state.z)
     curve = next(c for c in fitter.screen(rest) if c.of.id == over.id)
     both = fitter.fitted((form, curve), joined(rest, curve))

@@ -7,7 +7,7 @@ import pytest
 
 from shj_bayes.inference.run import runs_of
 from shj_bayes.mismatch.classes import classes
-from shj_bayes.mismatch.data import ErrorModel, scene_of
+from shj_bayes.mismatch.data import ErrorModel, data_of
 from shj_bayes.mismatch.findings import answer_of, curve_band
 from shj_bayes.mismatch.fitter import Fitter
 from shj_bayes.mismatch.moves import RIVAL, moving, refit_noise, replace_by_formula
@@ -26,8 +26,8 @@ from shj_bayes.recording.recording import Recording
 
 def _searched(trials, effects, coordinates):
     runs = runs_of(trials.simulate(effects, 4))
-    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
-    return search(scene, [one for one in classes() if one.coordinate in coordinates])
+    data = data_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    return search(data, [one for one in classes() if one.coordinate in coordinates])
 
 
 def test_two_dependences_are_found_that_one_curve_over_another_coordinate_follows(trials):
@@ -58,7 +58,7 @@ def _brake(effects, period_s=2.0, noise_kN=0.3, growing_cycles=2.5):
     acting = [(catalogue()[name], values) for name, values in effects.items()]
     force = force_with_effects(history, Base(6.5, 10.0, 20.0, 0.0, 10.0), acting)
     recording = Recording(time, motion.displacement_mm, force + noise_kN * rng.standard_normal(time.size))
-    return scene_of(runs_of([recording]), DeviceModel(1, read_priors("general"), variant="published"))
+    return data_of(runs_of([recording]), DeviceModel(1, read_priors("general"), variant="published"))
 
 
 BRAKE = {
@@ -81,9 +81,9 @@ def test_five_effects_in_a_test_of_seven_cycles_are_told_apart():
 
 
 def test_curves_over_time_do_not_change_within_a_cycle():
-    scene = _brake({"asymmetry": {"size": -0.15}})
+    data = _brake({"asymmetry": {"size": -0.15}})
     for one in classes():
-        own = of_whole_cycles(scene, one)
+        own = of_whole_cycles(data, one)
         if one.coordinate != "time":
             assert own is one
             continue
@@ -118,8 +118,8 @@ def test_a_ripple_shorter_than_the_blocks_is_position_with_its_period(period_mm)
     (history,) = histories([time], [motion])
     force = force_with_effects(history, Base(6.5, 10.0, 20.0, 0.0, 10.0), [(ripple, values)])
     recording = Recording(time, motion.displacement_mm, force + 0.05 * rng.standard_normal(time.size))
-    scene = scene_of(runs_of([recording]), DeviceModel(1, read_priors("general"), variant="published"))
-    out = search(scene, [one for one in classes() if one.coordinate in ("position", "stick-slip", "slip")])
+    data = data_of(runs_of([recording]), DeviceModel(1, read_priors("general"), variant="published"))
+    out = search(data, [one for one in classes() if one.coordinate in ("position", "stick-slip", "slip")])
     assert all(member.of.coordinate == "position" for member in out.best.members)
     assert out.best.members[0].variant.curve.period == pytest.approx(period_mm, rel=0.01)
     assert out.chatter is None
@@ -147,19 +147,19 @@ def test_a_wave_is_told_from_the_strokes_by_its_period(sine):
 def test_a_gap_shorter_than_a_block_is_found_as_large_as_it_is(trials):
     """In blocks that follow the base law alone it was found as 0.11 mm, and soft."""
     runs = runs_of(trials.simulate({"slack": {"size": 0.35, "softness": 0.05}}, 4))
-    scene = scene_of(runs, DeviceModel(len(runs), read_priors("afc")))
-    out = search(scene, [one for one in classes() if one.coordinate == "slack"])
+    data = data_of(runs, DeviceModel(len(runs), read_priors("afc")))
+    out = search(data, [one for one in classes() if one.coordinate == "slack"])
     state = out.best.state
     values = state.model.law_values(state.z)
     assert values["slack.size"] == pytest.approx(0.35, abs=0.03)
     assert values["slack.softness"] < 0.5
-    assert out.scene.count.size > scene.count.size
+    assert out.data.count.size > data.count.size
 
 
 def test_a_fit_that_is_singular_to_rounding_is_no_fit(monkeypatch):
     """A hypothesis with absurd parameters ended the diagnosis of a recording."""
-    scene = _brake({"asymmetry": {"size": -0.15}})
-    out = search(scene, [one for one in classes() if one.coordinate == "direction"])
+    data = _brake({"asymmetry": {"size": -0.15}})
+    out = search(data, [one for one in classes() if one.coordinate == "direction"])
     given = out.best.state.gaussian
     steep = replace(given, inner=given.inner - 2.0 * given.inner.max() * np.eye(given.along.size))
     monkeypatch.setattr("shj_bayes.mismatch.fitter.laplace", lambda *_: replace(out.best.state, gaussian=steep))
