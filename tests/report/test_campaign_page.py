@@ -77,7 +77,7 @@ def test_first_screen_shows_the_force_that_devices_deliver(campaign: Path, hosti
         for side, x in zip(("low", "middle", "high"), values, strict=True)
     ]
     record = {"margins": rows, "tested": {"fastest_mm_s": 10.24}}
-    told = Page(render_campaign(campaign, population((hostile_name, "other")), (), record)).text
+    told = Page(render_campaign(campaign, population((hostile_name, "other")), margins=record)).text
     card = told[told.index("other: force that a new device delivers") :]
     assert (
         card.index("84.5 to 104 kN")

@@ -185,7 +185,10 @@ def resolved(data: BinnedData, metric: ErrorModel, state: Laplace, of: Sequence[
         own, base = laplace_under(fine, metric.setting, state.model, state.z)
         best = max(screen(own, base, waves(fine, own, base, one, 1)), key=lambda c: c.gain, default=None)
         curve = best.variant.curve if best is not None and best.gain > 0.0 else None
-        if best is None or curve is None or curve.period is None or curve.period * _limits(data, over)[1] >= 1.0:
+        if best is None or curve is None or curve.period is None:
+            continue
+        # Averaged over nearly half a period a wave is too small; a clock has others beside it.
+        if curve.period * _limits(data, over)[1] >= (1.0 if is_clock(over) else 2.0):
             continue
         if is_clock(over):
             shown = fine if shown is data else shown
@@ -234,11 +237,13 @@ def _comes_again(residual: FloatArray, place: FloatArray, data: BinnedData, n_sm
         bins = np.clip(place[own], 0, BINS_PER_TURN * MOST_TURNS).astype(np.int64)
         count = np.bincount(bins)
         known = count > FEWEST_PASSES
+        if known.sum() <= n_smooth:
+            continue
         mean = np.bincount(bins, residual[own])[known] / count[known]
         rest = mean - uniform_filter1d(mean, n_smooth)
         each = residual[own] - np.interp(bins, np.flatnonzero(known), mean - rest)
-        ratio.append(float(np.mean(rest**2 * count[known])) / float(np.var(each)) if known.sum() > n_smooth else 0.0)
-    return max(ratio) > STANDS_OUT
+        ratio.append(float(np.mean(rest**2 * count[known])) / float(np.var(each)))
+    return max(ratio, default=0.0) > STANDS_OUT
 
 
 def _repeating(of: Dependence) -> Coordinate | None:

@@ -268,8 +268,10 @@ def test_prying_is_located_where_it_is(prying):
 
 
 def test_wear_depends_on_travel(wear):
-    assert wear["verdict"] == "named"
-    assert classes(wear) == {("capacity", "travel")}
+    """Or on time, which nearly goes with it here: a loss of 0.02 per metre that steadily goes on."""
+    assert wear["verdict"] == "family"
+    assert {member["id"] for member in wear["family"]} == {"wear", "tension_step"}
+    assert classes(wear) <= {("capacity", "travel"), ("capacity", "time")}
     assert {effect["id"] for effect in wear["effects"]} == {"wear"}
     assert wear["coordinates"][0]["unit"] == "m"
     assert wear["effects"][0]["id"] in wear["coordinates"][0]["matches"]
@@ -347,7 +349,7 @@ def lost_clamping(trials):
 def test_a_sudden_change_predicts_cycles_that_were_left_out(lost_clamping):
     """The moment of a step is no straight line: one linear step sends it anywhere."""
     found = proven(lost_clamping)
-    assert found.answer.verdict == "named"
+    assert found.answer.verdict == "family"  # over travel or time
     assert [f.names[0][0] for f in found.answer.findings] == ["tension_step"]
     before, after = (one.rmse_kN for one in found.held)
     # Noise of 1 kN, and in the cycle of the step its moment is not known: 5 kN for a half of one cycle in 38.
@@ -364,7 +366,7 @@ def test_what_does_not_improve_cycles_that_were_left_out_is_not_named(lost_clamp
     found = proven(lost_clamping)
     assert (found.answer.verdict, found.answer.reason) == ("unknown", Reason.NOT_BORNE_OUT)
     assert not found.answer.findings
-    assert found.dropped[-1].of == "capacity over time"
+    assert found.dropped[-1].of in ("capacity over time", "capacity over travel")
     assert found.after is found.before
     row = heldout_row(found)
     assert row.dropped[-1].with_kN > row.dropped[-1].without_kN
