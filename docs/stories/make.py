@@ -65,7 +65,7 @@ def velocity_or_prying() -> str:
     for protocol in ("paper", "improved"):
         key = stated_key("prying", 0.17, seed=SEED, protocol=protocol, gamma=0.0, **DEVICE)
         result = diagnosed(key)
-        columns.append(column(key, result.record))
+        columns.append(column(key, result.content))
         if protocol == "paper":
             draw(result, HERE / "velocity-or-prying.png", "position_mm", "position (mm)")
     rows += [f"| {name} | {columns[0][name]} | {columns[1][name]} |" for name in columns[0]]
@@ -77,7 +77,7 @@ def rediscovery() -> str:
     key = stated_key("prying", 0.01, seed=SEED, gamma=1 / 60, **DEVICE)
     result = diagnosed(replace(key, effects=()), without=("velocity",))
     draw(result, HERE / "rediscovery.png", "speed_mm_s", "speed (mm/s)", "Eq. (1) alone")
-    record = result.record
+    record = result.content
     found = next((e for e in record["effects"] if e["id"] == "velocity"), None)
     lines = ["| | |", "|---|---|", f"| verdict | {record['verdict']}: {names(record)} |"]
     lines += [f"| where | {place(record)} |", "| concealed | dep = 60 mm/s, gamma = 0.0167 s/mm |"]
@@ -97,7 +97,7 @@ def wear_or_heat() -> str:
     key = stated_key("wear_saturating", 0.12, seed=SEED, gamma=1 / 60, **DEVICE)
     result = diagnosed(key)
     draw(result, HERE / "wear-or-heat.png", "travel_m", "distance slid (m)")
-    record, lost = result.record, 100 * key.effects[0].size
+    record, lost = result.content, 100 * key.effects[0].size
     curve = next(c for c in record["coordinates"] if c["coordinate"] == "travel")
     stated = [(f"{c['action']} over {c['coordinate']}", c["probability"]) for c in record["coordinates"]]
     rows = {
@@ -126,7 +126,7 @@ def damper(folder: Path) -> str:
         diagnose(runs_of([recording]), device, DiagnoseOptions(hidden, quick=True)) for hidden in ((), ("slack",))
     )
     draw(full, HERE / "damper.png", "slip_mm", "slip since the last reversal (mm)", recorded=False)
-    found, hidden = full.record, blind.record
+    found, hidden = full.content, blind.content
     size = next((e["parameters"]["size"] for e in found["effects"] if e["id"] == "slack"), None)
     travel = f"{size['mean']:.2f} mm ({size['q05']:.2f} to {size['q95']:.2f})" if size else "not named"
     rows = ["| | whole catalogue | without `slack` |", "|---|---|---|"]
