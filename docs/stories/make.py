@@ -168,8 +168,9 @@ def column(key: Key, record: dict[str, Any]) -> dict[str, str]:
 
 
 def names(record: dict[str, Any]) -> str:
-    """Effects found, or a dash."""
-    return ", ".join(effect["id"] for effect in record["effects"]) or "-"
+    """Effects found and the family they are of, or a dash."""
+    listed = (one["id"] for one in (*record["effects"], *record["family"]))
+    return ", ".join(dict.fromkeys(listed)) or "-"
 
 
 def place(record: dict[str, Any]) -> str:
