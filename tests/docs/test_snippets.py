@@ -148,6 +148,7 @@ def test_commands_run(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 # ArviZ's own, of newer pandas; and what it says of a short fit with slack, which a page compares with the law alone.
+@pytest.mark.filterwarnings(r"ignore:\s*ArviZ is undergoing a major refactor")  # said when a user imports it first
 @pytest.mark.filterwarnings("ignore:The inplace keyword in DataFrame.sort_values")
 @pytest.mark.filterwarnings("ignore:Estimated shape parameter of Pareto distribution")
 def test_python_runs(desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
