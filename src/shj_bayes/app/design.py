@@ -47,14 +47,7 @@ from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, fit_popula
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
 from shj_bayes.population.results import load_population, record_of, safe_cell, write_population
 from shj_bayes.report.campaign_physics import statements
-from shj_bayes.report.margins_page import (
-    NOMINAL,
-    band_words,
-    extrapolated_words,
-    holds_words,
-    render_margins,
-    told,
-)
+from shj_bayes.report.margins_page import NOMINAL, band_words, extrapolated_words, holds_words, render_margins, told
 from shj_bayes.report.sets import FORCES, SHOWN, contrast_words, curve_words, multiplicity_words, name_of, pairs
 from shj_bayes.report.words import digits
 from shj_bayes.results.campaign import WITH_SET, CampaignRecord, read_campaign

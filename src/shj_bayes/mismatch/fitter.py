@@ -87,8 +87,7 @@ class Fitter:
         curve, effect = member.variant.curve, member.variant.effect
         if not is_over_a_clock(member.of) or (curve is not None and curve.period is None):
             return False
-        law = state.model.law_values(state.z)
-        return follows_cycles(self.data, effect, {name: law[f"{effect.id}.{name}"] for name in effect.names})
+        return follows_cycles(self.data, effect, state.values_of(effect))
 
     def _about_size(self, state: Laplace, place: int, member: Candidate) -> float:
         """Log evidence that a class gains when its size and its smoothness are averaged over."""

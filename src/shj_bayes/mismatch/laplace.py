@@ -10,6 +10,7 @@ from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.start import most_probable_noise, orthogonal_to, reach_after, root_of, step_within
 from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
@@ -37,6 +38,11 @@ class Laplace:
     def of_law(self, device: DeviceModel) -> FloatArray:
         """Give the parameters of a smaller model, those of the law alone for instance, where they are in this one."""
         return self.z[np.isin(self.model.law_names, device.law_names)]
+
+    def values_of(self, effect: Effect) -> dict[str, float]:
+        """Give the parameters of an effect of the model, by their names in the effect."""
+        law = self.model.law_values(self.z)
+        return {name: law[f"{effect.id}.{name}"] for name in effect.names}
 
     def beside(self, *columns: FloatArray) -> FloatArray:
         """Give the linearised data, the derivatives and further columns, shape (n, 1 + n_law + p), for a product."""

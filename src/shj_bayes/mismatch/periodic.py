@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.special import logsumexp, ndtri
 
-from shj_bayes.inference.gaussian import Gaussian, log_gains
+from shj_bayes.inference.gaussian import log_gains
 from shj_bayes.mismatch.classes import (
     EXPLAINED,
     FORMS,
@@ -22,7 +22,7 @@ from shj_bayes.mismatch.classes import (
 )
 from shj_bayes.mismatch.data import AVERAGED_S, BinnedData, ErrorModel
 from shj_bayes.mismatch.laplace import Laplace, laplace_under
-from shj_bayes.mismatch.screen import screen
+from shj_bayes.mismatch.screen import beside_law, screen
 from shj_bayes.model.coordinates import Coordinate, coordinates, coordinates_of
 from shj_bayes.model.curve import PERIODS_PER_UNIT, SIZES, Curve
 from shj_bayes.model.effects.effect import Effect, Values
@@ -71,23 +71,24 @@ def of_whole_cycles(data: BinnedData, of: Dependence) -> Dependence:
 
 def follows_cycles(data: BinnedData, effect: Effect, values: Values) -> bool:
     """Whether what an effect does keeps step with the cycles."""
+    return bool(keep_step(_does_by_stroke(data, effect, values), sides="side" in values)[0])
+
+
+def goes_one_way(data: BinnedData, effect: Effect, values: Values) -> bool:
+    """Whether what an effect does goes one way from stroke to stroke, by most of all its changes."""
+    courses = [own.mean(axis=(1, 2)) for own in _does_by_stroke(data, effect, values)]
+    net = sum(abs(course[-1] - course[0]) for course in courses)
+    return bool(net >= EXPLAINED * sum(np.abs(np.diff(course)).sum() for course in courses))
+
+
+def _does_by_stroke(data: BinnedData, effect: Effect, values: Values) -> list[FloatArray]:
+    """Give what an effect does to the force, as a share of Fy, as from `by_stroke`."""
     columns = []
     for part in data.posterior.averages:
         does = effect.act(part.history, values, data.base)
         share = np.broadcast_to(does.clamping + does.added_kN / data.scale_kN, part.history.time_s.shape)
         columns.append(share[:, None])
-    return bool(keep_step(by_stroke(data, columns), sides="side" in values)[0])
-
-
-def goes_one_way(data: BinnedData, effect: Effect, values: Values) -> bool:
-    """Whether what an effect does to the capacity goes one way from stroke to stroke, by most of all its changes."""
-    columns = []
-    for part in data.posterior.averages:
-        share = np.broadcast_to(effect.act(part.history, values, data.base).clamping, part.history.time_s.shape)
-        columns.append(share[:, None])
-    courses = [own.mean(axis=(1, 2)) for own in by_stroke(data, columns)]
-    net = sum(abs(course[-1] - course[0]) for course in courses)
-    return bool(net >= EXPLAINED * sum(np.abs(np.diff(course)).sum() for course in courses))
+    return by_stroke(data, columns)
 
 
 def by_stroke(data: BinnedData, columns: Sequence[FloatArray]) -> list[FloatArray]:
@@ -178,11 +179,17 @@ def resolved(data: BinnedData, metric: ErrorModel, state: Laplace, of: Sequence[
     The state is that of the base law.
     """
     shown = data
+    known: dict[str, tuple[BinnedData, ErrorModel, Laplace] | None] = {}  # of a coordinate, for all its classes
     for one in of:
         over = _repeating(one)
-        if over is None or (fine := _finest(data, state, over)) is None:
+        if over is None:
             continue
-        own, base = laplace_under(fine, metric.setting, state.model, state.z)
+        if over.id not in known:
+            new = _finest(data, state, over)
+            known[over.id] = None if new is None else (new, *laplace_under(new, metric.setting, state.model, state.z))
+        if (found := known[over.id]) is None:
+            continue
+        fine, own, base = found
         best = max(screen(own, base, waves(fine, own, base, one, 1)), key=lambda c: c.gain, default=None)
         curve = best.variant.curve if best is not None and best.gain > 0.0 else None
         if best is None or curve is None or curve.period is None:
@@ -292,17 +299,13 @@ def _gains(metric: ErrorModel, state: Laplace, columns: FloatArray, known: Hasha
 
     Columns that are asked for again have a key, by which they are `known`.
     """
-    beside, beside_taken = metric.factors(state.beside())
     k = columns.shape[1]
     flat = columns.reshape(columns.shape[0], 2 * k)
     wave, taken = metric.factors(flat) if known is None else metric.factors_of({known: flat})
-    own = beside.T @ beside - beside_taken.T @ beside_taken
-    along, cross = np.split(beside.T @ wave - beside_taken.T @ taken, [1])
-    law = Gaussian.of(own)
-    solved = law.solve(cross)
-    along = (along[0] - law.along @ solved).reshape(k, 2)
+    along, cross, solved = beside_law(metric, state, wave, taken)
     inner = _of_each(wave, wave) - _of_each(taken, taken) - _of_each(cross, solved)
-    return np.asarray(logsumexp(log_gains(inner, along, np.array(SIZES)) + np.log(size_weights()), axis=-1))
+    gains = log_gains(inner, along.reshape(k, 2), np.array(SIZES))
+    return np.asarray(logsumexp(gains + np.log(size_weights()), axis=-1))
 
 
 def _of_each(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -29,12 +29,8 @@ def screen(metric: ErrorModel, state: Laplace, candidates: Sequence[Candidate]) 
     """Give candidates, as from `classes.candidates`, their gain, best first, with curves of the size that fits."""
     if not candidates:
         return []
-    beside, beside_taken = metric.factors(state.beside())
     columns, taken = metric.factors_of({c: c.columns for c in candidates})
-    law = Gaussian.of(beside.T @ beside - beside_taken.T @ beside_taken)
-    along, cross = np.split(beside.T @ columns - beside_taken.T @ taken, [1])
-    solved = law.solve(cross)
-    along = along[0] - law.along @ solved
+    along, cross, solved = beside_law(metric, state, columns, taken)
     out, first = [], 0
     for c in candidates:
         own = slice(first, first + c.columns.shape[1])
@@ -42,6 +38,21 @@ def screen(metric: ErrorModel, state: Laplace, candidates: Sequence[Candidate]) 
         inner = columns[:, own].T @ columns[:, own] - taken[:, own].T @ taken[:, own] - cross[:, own].T @ solved[:, own]
         out.append(_gained(c, Gaussian(0.0, along[own], inner)))
     return sorted(out, key=lambda c: -c.gain)
+
+
+def beside_law(
+    metric: ErrorModel, state: Laplace, columns: FloatArray, taken: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Give what a state leaves of the data to columns, which are given by their factors under a metric.
+
+    Products with the data, shape (p,), once the parameters are integrated out; products with the derivatives, and
+    these solved by the precision of the parameters, shape (n_law, p): their product is what the former take up.
+    """
+    beside, beside_taken = metric.factors(state.beside())
+    law = Gaussian.of(beside.T @ beside - beside_taken.T @ beside_taken)
+    along, cross = np.split(beside.T @ columns - beside_taken.T @ taken, [1])
+    solved = law.solve(cross)
+    return np.asarray(along[0] - law.along @ solved), cross, solved
 
 
 def _gained(c: Candidate, own: Gaussian) -> Candidate:

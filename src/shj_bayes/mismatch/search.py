@@ -10,16 +10,7 @@ from scipy.special import logsumexp, ndtr
 from shj_bayes.mismatch.classes import ALPHA, EXPLAINED, MIN_EFFECT, Dependence, Parametrisation, candidates
 from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorParameters
 from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
-from shj_bayes.mismatch.hypothesis import (
-    CONSTANT,
-    MOTION,
-    TEETH,
-    TIME,
-    TRAVEL,
-    Hypothesis,
-    replaced,
-    without,
-)
+from shj_bayes.mismatch.hypothesis import CONSTANT, MOTION, TEETH, TIME, TRAVEL, Hypothesis, replaced, without
 from shj_bayes.mismatch.laplace import laplace_under, zero_of
 from shj_bayes.mismatch.moves import (
     BEAM,
@@ -255,8 +246,8 @@ def _odds_of_other(out: Search, h: Hypothesis, own: str, other: str) -> tuple[fl
     probable than one with a name.
     """
     place = [m.of.id for m in h.members].index(own)
-    effect, law = h.members[place].variant.effect, h.state.model.law_values(h.state.z)
-    if not goes_one_way(out.data, effect, {name: law[f"{effect.id}.{name}"] for name in effect.names}):
+    effect = h.members[place].variant.effect
+    if not goes_one_way(out.data, effect, h.state.values_of(effect)):
         return None
     fitter = replace(out.fitter, metric=h.metric or out.metric)
     rest = fitter.fitted(*without(out.data, h, place))

@@ -133,6 +133,18 @@ TRAVEL = Coordinate(
     symbol="s",
     of_base=True,
 )
+TIME = Coordinate(
+    "time",
+    "s",
+    "the time",
+    lambda h, b: h.begun_s + h.time_s,
+    lambda h: (0.0, h.tested_s),
+    lengths=SUDDEN,
+    repeats=0.2,
+    sides=0.2,
+    adds=True,
+    symbol="t",
+)
 SPEED = Coordinate(
     "speed",
     "mm/s",
@@ -184,28 +196,9 @@ ALL = (
         family="low_speed",
         times=lambda h: h.speed_mm_s / h.peak_speed_mm_s,
     ),
-    Coordinate(
-        "time",
-        "s",
-        "the time",
-        lambda h, b: h.begun_s + h.time_s,
-        lambda h: (0.0, h.tested_s),
-        lengths=SUDDEN,
-        repeats=0.2,
-        sides=0.2,
-        adds=True,
-        symbol="t",
-    ),
+    TIME,
     # In no class of its own; a bolt that relaxes does most of it soon after it was tightened.
-    Coordinate(
-        "early_time",
-        "s",
-        "the time",
-        lambda h, b: h.begun_s + h.time_s,
-        lambda h: (0.0, h.tested_s),
-        scale=FIRST_SLID,
-        symbol="t",
-    ),
+    replace(TIME, id="early_time", scale=FIRST_SLID, lengths=SMOOTH, repeats=0.0, sides=0.0, adds=False),
     *(
         Coordinate(
             f"heat{i}",
