@@ -131,11 +131,15 @@ class BinnedData:
         """Give the derivatives of the force after the unbounded parameters of the law, shape (n, n_law)."""
         out, linear = np.empty((residual.size, z.size)), model.linear
         if linear.size:
-            theta, parts = model.natural_of_law(z[None])[0], self.posterior.averages
-            out[:, linear] = self.blocks([model.slopes(theta, p.history, p.start_force_kN) for p in parts])
+            out[:, linear] = self.linear_columns(model, z)
         steps = np.delete(STEP * np.eye(z.size), linear, axis=0)
         out[:, np.delete(np.arange(z.size), linear)] = (residual - self.residual(model, z + steps)).T / STEP
         return out
+
+    def linear_columns(self, model: DeviceModel, z: FloatArray) -> FloatArray:
+        """Give the derivatives of the force after the parameters of linear effects, shape (n, p); see `slopes`."""
+        theta, parts = model.natural_of_law(z[None])[0], self.posterior.averages
+        return self.blocks([model.slopes(theta, p.history, p.start_force_kN) for p in parts])
 
     def blocks(self, columns: Sequence[FloatArray]) -> FloatArray:
         """Means over blocks of functions at the points of each run, shapes (n_points, p) to (n, p)."""
@@ -274,8 +278,8 @@ class ErrorParameters:
     def whitened(self, data: BinnedData, columns: FloatArray, slope: FloatArray) -> tuple[FloatArray, float]:
         """Columns in units of what is new in the noise of each block, and the log density of data that are all 0.
 
-        The latter holds the prior of the noise. `slope`, shape (n,), is that of the modelled force in each block,
-        through which the error of the displacement acts, kN/mm.
+        `slope`, shape (n,), is that of the modelled force in each block, through which the error of the displacement
+        acts, kN/mm.
         """
         values, more = self.values(data), rougher(self.at_rest, data.slow)
         out, total, first = [], 0.0, 0
@@ -285,7 +289,7 @@ class ErrorParameters:
             out.append(white)
             total, first = total + log_det, first + part.n
         white = np.concatenate(out)
-        return white, self.log_prior(data) - 0.5 * (white.shape[0] * LOG_2PI + total)
+        return white, -0.5 * (white.shape[0] * LOG_2PI + total)
 
     def at_most(self, data: BinnedData, most_kN: float) -> ErrorParameters:
         """Give the same noise, smaller where its size is more than this."""
@@ -330,6 +334,7 @@ class ErrorModel:
         self.missed = data.missed(slope)
         white, constant = setting.whitened(data, self.missed, slope)
         self.other = self._counted(white) * setting.sizes(data)
+        constant += setting.log_prior(data)
         self._missed = Gaussian(0.0, np.zeros(white.shape[1]), self.other.T @ self.other, constant)
         self.log_constant = self._missed.log_evidence
         self._known: dict[Hashable, tuple[FloatArray, FloatArray]] = {}

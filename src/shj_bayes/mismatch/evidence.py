@@ -6,10 +6,10 @@ with each pair of them, to first order (`screen`). All stand on one scale: evide
 """
 
 from collections.abc import Sequence
-from itertools import combinations, pairwise
+from itertools import combinations, pairwise, product
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.linalg import block_diag
 
 from shj_bayes.mismatch.classes import LOG_PRIOR_ODDS, Candidate, unit_columns
 from shj_bayes.mismatch.findings import Answer, curve_band
@@ -22,6 +22,7 @@ from shj_bayes.results.diagnosis import EvidenceRecord
 DIGITS = 3  # of a log weight, nats
 SMALLER = (1.0, 0.2, 0.04)  # of the size that fits best alone: sizes at which two candidates are weighed together
 CLEAR = 0.1  # nats; less between two candidates is nothing
+APART = 1.0 - 1e-12  # of the correlation of two candidates: those that do the same stay apart by more than rounding
 
 
 def evidence_of(out: Search, answer: Answer) -> EvidenceRecord:
@@ -47,8 +48,8 @@ def evidence_of(out: Search, answer: Answer) -> EvidenceRecord:
     others = {name: c for name, c in _best(out.fitter.screen(plain)).items() if name not in own}
     first = _FirstOrder(out, plain, list(others.values()))
     for i, (name, c) in enumerate(others.items()):
-        mean = first.mean(i)
-        sizes[name] = float(visible(out.data, plain.state.jacobian, (first.columns[i] @ mean)[:, None])[0])
+        mean, change = first.means[i]
+        sizes[name] = float(visible(out.data, plain.state.jacobian, change[:, None])[0])
         if c.variant.curve is not None:
             ends = c.variant.curve.rows(np.array([0.0, 1.0]), np.ones(2)) @ mean
             changes[name] = 100.0 * (ends[1] - ends[0])
@@ -84,41 +85,52 @@ def _gains_beside(out: Search, h: Hypothesis) -> dict[frozenset[str], float]:
 
 
 class _FirstOrder:
-    """Candidates beside a hypothesis to first order, each of the size that fits best."""
+    """Candidates beside a hypothesis to first order, each of the size that fits best.
+
+    The coefficients of each are turned to the axes of its own products: at any size its precision is diagonal.
+    """
 
     def __init__(self, out: Search, h: Hypothesis, candidates: Sequence[Candidate]) -> None:
-        self.columns = [unit_columns(c) for c in candidates]
-        self._beside = out.metric.gaussian(h.state.beside(*self.columns)).given(h.state.z.size)
-        ends = np.cumsum([0, *(c.shape[1] for c in self.columns)])
+        columns = [unit_columns(c) for c in candidates]
+        beside = out.metric.gaussian(h.state.beside(*columns)).given(h.state.z.size)
+        ends = np.cumsum([0, *(c.shape[1] for c in columns)])
         self._places = [np.arange(a, b) for a, b in pairwise(ends)]
-        self._known: dict[int, tuple[float, float]] = {}
+        axes = [np.linalg.eigh(beside.some(own).inner) for own in self._places]
+        turned = block_diag(np.zeros((0, 0)), *(vectors for _, vectors in axes))
+        self._inner, self._along = turned.T @ beside.inner @ turned, turned.T @ beside.along
+        # Posterior mean of the coefficients of each alone, and what it does to the force, kN.
+        means = (v @ (self._along[own] / (1.0 + d)) for own, (d, v) in zip(self._places, axes, strict=True))
+        self.means = [(mean, c @ mean) for mean, c in zip(means, columns, strict=True)]
 
     def interplay(self, i: int, j: int) -> float:
         """Log Bayes factor of two candidates over the product of theirs; 0 where neither does what the other does."""
-        (one, both_one), (other, both_other) = self._alone(i), self._alone(j)
-        extra = self._log_factor((i, 1.0), (j, 1.0)) - one - other
-        if abs(extra) < CLEAR:
-            return extra
+        extra, one, other = self._together(i, j, np.ones((1, 2)))
+        if abs(extra[0]) < CLEAR:
+            return float(extra[0])
         # The size that fits a candidate alone need not fit it beside the other.
-        both = [self._log_factor((i, u), (j, v)) for u in SMALLER for v in SMALLER]
-        return float(logsumexp(both)) - both_one - both_other
+        extra, one, other = self._together(i, j, np.array(list(product(SMALLER, repeat=2))))
+        n = len(SMALLER)
+        alone = np.logaddexp.reduce(one[::n]) + np.logaddexp.reduce(other[:n])
+        return float(np.logaddexp.reduce(extra + one + other) - alone)
 
-    def _alone(self, i: int) -> tuple[float, float]:
-        """Log Bayes factor of one candidate at the size that fits best, and summed over the sizes in `SMALLER`."""
-        if i not in self._known:
-            factors = [self._log_factor((i, size)) for size in SMALLER]
-            self._known[i] = (factors[0], float(logsumexp(factors)))
-        return self._known[i]
+    def _together(self, i: int, j: int, sizes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Log Bayes factors of two candidates of m pairs of sizes, shape (m, 2): both over the product, and each."""
+        (a, fits_a, one), (b, fits_b, other) = (self._alone(k, own) for k, own in ((i, sizes[:, 0]), (j, sizes[:, 1])))
+        shared = APART * a[:, :, None] * self._inner[np.ix_(self._places[i], self._places[j])] * b[:, None, :]
+        if shared.shape[1] > shared.shape[2]:
+            shared, fits_a, fits_b = np.swapaxes(shared, 1, 2), fits_b, fits_a
+        root = np.linalg.cholesky(np.eye(shared.shape[1]) - shared @ np.swapaxes(shared, 1, 2))
+        left = np.linalg.solve(root, (fits_a - np.einsum("mij,mj->mi", shared, fits_b))[:, :, None])[:, :, 0]
+        half_log_det = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        return 0.5 * ((left**2).sum(axis=1) - (fits_a**2).sum(axis=1)) - half_log_det, one, other
 
-    def _log_factor(self, *which: tuple[int, float]) -> float:
-        """Log Bayes factor of candidates of some size each together; their coefficients have standard normal priors."""
-        own = np.concatenate([self._places[i] for i, _ in which])
-        size = np.concatenate([np.full(self._places[i].size, size) for i, size in which])
-        return self._beside.some(own).sized(size).gain
-
-    def mean(self, i: int) -> FloatArray:
-        """Posterior mean of the coefficients of one candidate alone."""
-        return self._beside.some(self._places[i]).mean
+    def _alone(self, i: int, sizes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Roots of the sized covariance of one candidate, its data in units of their errors, and its log factors."""
+        own = self._places[i]
+        precision = 1.0 + sizes[:, None] ** 2 * np.maximum(np.diagonal(self._inner)[own], 0.0)
+        root = sizes[:, None] / np.sqrt(precision)
+        fits = root * self._along[own]
+        return root, fits, 0.5 * (fits**2 - np.log(precision)).sum(axis=1)
 
 
 def _best(listed: Sequence[Candidate]) -> dict[str, Candidate]:
@@ -138,4 +150,5 @@ def _averaged(own: list[Candidate]) -> float:
         curve = c.variant.curve
         word = c.variant.effect.id if curve is None else f"{curve.coordinate} {curve.length} {curve.sides}"
         starts.setdefault(word, []).append(c.gain)
-    return float(logsumexp([logsumexp(gains) - np.log(len(gains)) for gains in starts.values()]))
+    means = [np.logaddexp.reduce(gains) - np.log(len(gains)) for gains in starts.values()]
+    return float(np.logaddexp.reduce(means))

@@ -7,7 +7,6 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from scipy.special import logsumexp
 
 from shj_bayes.inference.start import start_values
 from shj_bayes.mismatch.classes import FORMS, LOG_PRIOR_ODDS, Candidate, Dependence, Parametrisation, size_weights
@@ -99,7 +98,7 @@ class Fitter:
         given = state.gaussian
         its_own = np.isin(np.arange(state.z.size), own)
         gains = [given.sized(np.where(its_own, size / curve.size, 1.0)).gain for size in SIZES]
-        return extra + float(logsumexp(np.array(gains) - given.gain + np.log(size_weights())))
+        return extra + float(np.logaddexp.reduce(np.array(gains) - given.gain + np.log(size_weights())))
 
     def all_fitted(self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]]) -> list[Hypothesis]:
         """Fit hypotheses, each from the start of a form; those with a fit, most probable first."""

@@ -1,7 +1,8 @@
 """A model at its most probable parameters, and how it gets there."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -171,11 +172,17 @@ def find_noise(
         noise = ErrorParameters(tuple(np.minimum(u[:-2], most).tolist()), unit * math.exp(float(u[-2])), float(u[-1]))
         return noise.at_most(data, most_kN)
 
+    @lru_cache(maxsize=2 * len(laws) * (len(laws) + 3))  # those of one expansion
+    def products(noise: ErrorParameters) -> tuple[FloatArray, float]:
+        white, constant = noise.whitened(data, beside, state.slope)
+        return white.T @ white, constant
+
     def negative(u: FloatArray) -> float:
         noise = setting(u)
-        white, constant = noise.whitened(data, beside, state.slope)
+        inner, constant = products(replace(noise, model_error_kN=unit))  # which whitens nothing
+        constant += noise.log_prior(data)
         try:
-            return -Gaussian.of(white.T @ white, constant).sized(np.append(known, noise.sizes(data))).log_evidence
+            return -Gaussian.of(inner, constant).sized(np.append(known, noise.sizes(data))).log_evidence
         except np.linalg.LinAlgError:  # noise so small that rounding tells nothing of one column beside the others
             return math.inf
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
-from scipy.special import logsumexp, ndtri
+from scipy.signal import savgol_filter
+from scipy.special import ndtri
 
 from shj_bayes.inference.gaussian import log_gains
 from shj_bayes.mismatch.classes import (
@@ -127,7 +128,7 @@ MOST_TURNS = 200.0  # in all tests: what is faster counts as noise
 AT_ONCE = 128  # frequencies
 BINS_PER_TURN, FEWEST_PASSES = 4.0, 4  # bins to the shortest period; blocks in one of them
 GOOD_PART = 0.3  # of the variance of a residual
-STANDS_OUT = 2.5  # of the variance that the means of noise have
+STANDS_OUT = 3.0  # of the variance that the means of noise have
 
 
 def waves(data: BinnedData, metric: ErrorModel, state: Laplace, of: Dependence, most: int = 2) -> list[Candidate]:
@@ -234,20 +235,22 @@ def _finest(data: BinnedData, state: Laplace, over: Coordinate) -> BinnedData | 
 def _comes_again(residual: FloatArray, place: FloatArray, data: BinnedData, n_smooth: int) -> bool:
     """Whether the residual is another one in some places than in those beside them, pass for pass.
 
-    Its means in bins of the place, in push and in pull apart, less their smooth course over `n_smooth` bins, are held
-    against the scatter of single passes.
+    Its means in bins of the place where the device slides, in push and in pull apart, less their smooth course over
+    `n_smooth` bins to either side, are held against the scatter of single passes.
     """
-    sense, used = np.sign(data.channel("direction")), data.used > 0
+    sense = np.sign(data.channel("direction"))
+    along = sense * (data.measured_kN - residual)
+    used = (data.used > 0) & (along > SLIDING * along.max())
     ratio = []
     for sign in (-1.0, 1.0):
         own = used & (sense == sign)
         bins = np.clip(place[own], 0, BINS_PER_TURN * MOST_TURNS).astype(np.int64)
         count = np.bincount(bins)
         known = count > FEWEST_PASSES
-        if known.sum() <= n_smooth:
+        if known.sum() <= 2 * n_smooth + 1:
             continue
         mean = np.bincount(bins, residual[own])[known] / count[known]
-        rest = mean - uniform_filter1d(mean, n_smooth)
+        rest = mean - savgol_filter(mean, 2 * n_smooth + 1, polyorder=3)
         each = residual[own] - np.interp(bins, np.flatnonzero(known), mean - rest)
         ratio.append(float(np.mean(rest**2 * count[known])) / float(np.var(each)))
     return max(ratio, default=0.0) > STANDS_OUT
@@ -305,7 +308,7 @@ def _gains(metric: ErrorModel, state: Laplace, columns: FloatArray, known: Hasha
     along, cross, solved = beside_law(metric, state, wave, taken)
     inner = _of_each(wave, wave) - _of_each(taken, taken) - _of_each(cross, solved)
     gains = log_gains(inner, along.reshape(k, 2), np.array(SIZES))
-    return np.asarray(logsumexp(gains + np.log(size_weights()), axis=-1))
+    return np.asarray(np.logaddexp.reduce(gains + np.log(size_weights()), axis=-1))
 
 
 def _of_each(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import expit, logsumexp
+from scipy.special import expit
 
 from shj_bayes.inference.gaussian import Gaussian, log_gains
 from shj_bayes.mismatch.classes import (
@@ -61,7 +61,7 @@ def _gained(c: Candidate, own: Gaussian) -> Candidate:
     sizes = SIZES_OF_STARTS if curve is None else np.array(SIZES) / curve.size
     weights = np.full(sizes.size, 1.0 / sizes.size) if curve is None else size_weights()
     parts = log_gains(own.inner, own.along, sizes) + np.log(weights)
-    gain = float(logsumexp(parts) + np.log(c.variant.weight))
+    gain = float(np.logaddexp.reduce(parts) + np.log(c.variant.weight))
     best = float(sizes[np.argmax(parts)])
     c = replace(c, change=c.columns @ (best * own.sized(best).mean))
     if curve is None:

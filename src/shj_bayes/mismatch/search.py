@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import logsumexp, ndtr
+from scipy.special import ndtr
 
 from shj_bayes.mismatch.classes import ALPHA, EXPLAINED, MIN_EFFECT, Dependence, Parametrisation, candidates
 from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorParameters
@@ -256,7 +256,7 @@ def _odds_of_other(out: Search, h: Hypothesis, own: str, other: str) -> tuple[fl
     fits = {name: _with_curves(fitter, rest, name) for name in (own, other)}
     if not all(fits.values()):
         return None
-    weight = {name: float(logsumexp([one.log_weight for one in ones])) for name, ones in fits.items()}
+    weight = {name: float(np.logaddexp.reduce([one.log_weight for one in ones])) for name, ones in fits.items()}
     if weight[own] - rest.log_weight < EXPLAINED * (h.log_weight - rest.log_weight):
         return None
     best = max(fits[other], key=lambda one: one.log_weight)
