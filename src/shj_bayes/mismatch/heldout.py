@@ -11,7 +11,7 @@ from shj_bayes.inference.robust import cycles_through
 from shj_bayes.mismatch.classes import ALPHA
 from shj_bayes.mismatch.data import BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.findings import Answer, Reason, answer_of
-from shj_bayes.mismatch.hypothesis import Hypothesis, without
+from shj_bayes.mismatch.hypothesis import Hypothesis, second_of, without
 from shj_bayes.mismatch.laplace import Laplace, laplace, laplace_under
 from shj_bayes.mismatch.moves import Search
 from shj_bayes.model.parameters import FloatArray
@@ -166,7 +166,7 @@ def proven(out: Search, tell: Callable[[str], None] = lambda _: None) -> Proven:
         tell(f"{worst.of} does not improve cycles that were left out")
         dropped.append(worst)
         out = _less(out, answer.shown, worst.of)
-    if missing and not answer.findings:
+    if missing and not answer.findings and not out.chatter:  # whose teeth are in all that was found
         answer = replace(answer, verdict=DiagnosisVerdict.UNKNOWN, reason=Reason.NOT_BORNE_OUT)
     return Proven(out, answer, tuple(dropped), held.fine, held.before, held.after, (held.base, held.shown))
 
@@ -177,8 +177,13 @@ def _nothing(answer: Answer) -> float:
 
 
 def _less(out: Search, shown: Hypothesis, of: str) -> Search:
-    """Give a search without the hypotheses that hold a class, and with the shown one less that class."""
+    """Give a search without the hypotheses that hold a class, and with the shown one less that class.
+
+    Where none has it by name, a curve holds it beside its own class.
+    """
     found = {key: h for key, h in out.found.items() if of not in key}
+    if len(found) == len(out.found):
+        found = {key: h for key, h in found.items() if all(second_of(member) != of for member in h.members)}
     place = next(i for i, member in enumerate(shown.members) if member.of.id == of)
     if shown.key - {of} not in found:
         members, z = without(out.data, shown, place)

@@ -119,19 +119,23 @@ class Search:
         return self.chatter.size if self.chatter else self.matters
 
     def matters_of(self, h: Hypothesis, place: int) -> float:
-        """Size that a member must have: from stroke to stroke teeth lower the mean force by as much as they differ.
+        """Size that a member must have: as of `matters_among`, but for a larger force that is not of the teeth's making.
 
-        They lower it most where they are largest: a larger force in that direction is not of their making.
+        They lower the mean force most in the direction in which they are largest.
         """
         of = h.members[place].of
+        higher = self.chatter and of.id == DIRECTION and of.action == "capacity"
+        if higher and self.chatter.lowers * h.state.z[columns_of(self.data, h.state, place)[0]] > 0.0:
+            return self.matters
+        return self.matters_among(of)
+
+    def matters_among(self, of: Dependence) -> float:
+        """Size that a class must have: from stroke to stroke teeth lower the mean force by as much as they differ."""
         goes = {over.goes for over in coordinates_of(of.coordinate)}
         if "stroke" in goes or of.action == MOTION:
             return self.matters_in_strokes
-        if self.chatter is None or of.action != "capacity":
-            return self.matters
-        if of.id == DIRECTION and self.chatter.lowers * h.state.z[columns_of(self.data, h.state, place)[0]] > 0.0:
-            return self.matters
-        return max(self.matters, self.chatter.apart) if "test" in goes or of.id == DIRECTION else self.matters
+        among = self.chatter is not None and of.action == "capacity" and ("test" in goes or of.id == DIRECTION)
+        return max(self.matters, self.chatter.apart) if self.chatter and among else self.matters
 
 
 def _with(hypotheses: Mapping[frozenset[str], Hypothesis], new: Hypothesis) -> Mapping[frozenset[str], Hypothesis]:
@@ -181,7 +185,7 @@ def add_one(search: Search, h: Hypothesis) -> Search:
         if len(followed) >= MOST and not moves and c.of.id not in followed:
             continue
         size = visible(search.data, h.state.jacobian, c.change[:, None])[0] * (ROUGHLY if effect else 1.0)
-        if size < PROMISING * search.matters:
+        if size < PROMISING * (search.matters if c.of.id == DIRECTION else search.matters_among(c.of)):
             continue
         level = search.ranked(len(h.members) + 1)
         whole = not level or any(m.of.action == MOTION for m in (*h.members, c))  # `moving` may follow it

@@ -86,12 +86,14 @@ def search(
     metric = noise_beside(data, rough, [*looked, *again], None)
     out = Search(Fitter(data, looked, metric, hidden), tell=tell).add((), data.z)
     assert out.found
-    out = deepen_from(try_constant(out), 0)
+    out = deepen_from(detect_chatter(try_constant(out)), 0)
     if whole != list(classes):
         # Only now: beside few classes, curves over time that change within a cycle do what many others do together.
         out = look_for(out, tuple(classes))
         out = deepen_from(out, len(out.best.members))
-    out = detect_chatter(out)
+    heard, out = out.chatter, detect_chatter(out)
+    if heard and not out.chatter:
+        out = detect_chatter(deepen_from(out, len(out.best.members)))
     if not out.metric.is_capped:
         out = split_curve(out)
     return detect_chatter(finish(swap_one(out)))
