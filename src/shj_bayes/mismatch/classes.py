@@ -130,8 +130,10 @@ def candidates(data: BinnedData, state: Laplace, of: tuple[Dependence, ...]) -> 
         for variant in one.variants:
             model = state.model.with_effects((*state.model.effects, variant.effect))
             if variant.curve is not None:
-                zero = np.concatenate([state.z, np.zeros(len(variant.effect.parameters))])
-                columns = data.linear_columns(model, zero)[:, -len(variant.effect.parameters) :]
+                n, step = len(variant.effect.parameters), 1e-2
+                zero = np.concatenate([state.z, np.zeros(n)])
+                points = zero + step * np.eye(n, zero.size, state.z.size)
+                columns = (state.residual - data.residual(model, points)).T / step
                 out.append(Candidate(one, variant, zero, columns, model))
                 continue
             starts = np.array(extended(state.z, state.model, model, variant.effect))

@@ -131,15 +131,11 @@ class BinnedData:
         """Give the derivatives of the force after the unbounded parameters of the law, shape (n, n_law)."""
         out, linear = np.empty((residual.size, z.size)), model.linear
         if linear.size:
-            out[:, linear] = self.linear_columns(model, z)
+            theta, parts = model.natural_of_law(z[None])[0], self.posterior.averages
+            out[:, linear] = self.blocks([model.slopes(theta, p.history, p.start_force_kN) for p in parts])
         steps = np.delete(STEP * np.eye(z.size), linear, axis=0)
         out[:, np.delete(np.arange(z.size), linear)] = (residual - self.residual(model, z + steps)).T / STEP
         return out
-
-    def linear_columns(self, model: DeviceModel, z: FloatArray) -> FloatArray:
-        """Give the derivatives of the force after the parameters of linear effects, shape (n, p); see `slopes`."""
-        theta, parts = model.natural_of_law(z[None])[0], self.posterior.averages
-        return self.blocks([model.slopes(theta, p.history, p.start_force_kN) for p in parts])
 
     def blocks(self, columns: Sequence[FloatArray]) -> FloatArray:
         """Means over blocks of functions at the points of each run, shapes (n_points, p) to (n, p)."""

@@ -119,13 +119,13 @@ class Search:
         return self.chatter.size if self.chatter else self.matters
 
     def matters_of(self, h: Hypothesis, place: int) -> float:
-        """Size that a member must have: as of `matters_among`, but for a larger force that is not of the teeth's making.
+        """Size that a member must have: that of its class, but for a larger force that teeth do not make.
 
         They lower the mean force most in the direction in which they are largest.
         """
         of = h.members[place].of
-        higher = self.chatter and of.id == DIRECTION and of.action == "capacity"
-        if higher and self.chatter.lowers * h.state.z[columns_of(self.data, h.state, place)[0]] > 0.0:
+        teeth = self.chatter if of.id == DIRECTION and of.action == "capacity" else None
+        if teeth and teeth.lowers * h.state.z[columns_of(self.data, h.state, place)[0]] > 0.0:
             return self.matters
         return self.matters_among(of)
 
@@ -134,7 +134,7 @@ class Search:
         goes = {over.goes for over in coordinates_of(of.coordinate)}
         if "stroke" in goes or of.action == MOTION:
             return self.matters_in_strokes
-        among = self.chatter is not None and of.action == "capacity" and ("test" in goes or of.id == DIRECTION)
+        among = of.action == "capacity" and ("test" in goes or of.id == DIRECTION)
         return max(self.matters, self.chatter.apart) if self.chatter and among else self.matters
 
 
