@@ -94,7 +94,7 @@ def draw_noise(number: int, seed: int, *, effects: bool, max_steps: int) -> dict
         draws = np.asarray(result.data["posterior"][name]).ravel()
         free, true = prior.to_free(draws), float(prior.to_free(np.asarray(values[name])))
         z[name], below[name] = float((free.mean() - true) / free.std()), float(np.mean(draws < values[name]))
-    record |= {"verdict": result.verdict.word, "widened": list(result.floor.widened), "z": z, "below": below}
+    record |= {"verdict": result.verdict.word, "widened": list(result.widening.widened), "z": z, "below": below}
     return record | {"seconds": time.perf_counter() - begin}
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from shj_bayes.inference import store
 from shj_bayes.inference.convergence import Diagnostics, FitVerdict, judge, pareto_k
 from shj_bayes.inference.posterior import Posterior, SharedDensity, make_posterior, n_threads
-from shj_bayes.inference.robust import Floor, floor_of
+from shj_bayes.inference.robust import Widening, widening_of
 from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start, root_of
@@ -58,7 +58,7 @@ class Fit:
     data: xr.DataTree  # posterior and what goes with it
     summary: pd.DataFrame  # one row for each parameter
     figures: Diagnostics
-    floor: Floor  # how the intervals compare with the scatter from cycle to cycle
+    widening: Widening  # how the intervals compare with the scatter from cycle to cycle
     verdict: FitVerdict  # can the numbers be used
     record: FitRecord
 
@@ -99,7 +99,7 @@ def fit(
     states, figures = run_ensembles(
         posterior, posterior.names, start, plan, fingerprint=posterior.fingerprint, path=path
     )
-    converged, floor = judge(figures), floor_of(posterior, start)
+    converged, widening = judge(figures), widening_of(posterior, start)
     kept = np.stack([state.chain[figures.n_burn :].reshape(-1, start.free.size) for state in states])
     heights = np.stack([state.log_posterior[figures.n_burn :].ravel() for state in states])
     weights, tail = weights_of_all_samples(posterior, start, kept, plan.threads)
@@ -108,29 +108,30 @@ def fit(
         kept, heights = np.take_along_axis(kept, some[:, :, None], axis=1), np.take_along_axis(heights, some, axis=1)
         worth = float(weights.mean() ** 2 / np.mean(weights**2))
         figures = replace(figures, ess_bulk=worth * figures.ess_bulk, ess_tail=worth * figures.ess_tail)
-    verdict = with_floor(converged, floor, tail)
-    shown = floor.spread(kept, kept.reshape(-1, kept.shape[-1]).mean(axis=0))
+    verdict = with_widening(converged, widening, tail)
+    shown = widening.spread(kept, kept.reshape(-1, kept.shape[-1]).mean(axis=0))
     natural = posterior.natural(shown)
     table = store.summary(posterior.model, figures, natural)
     data = store.inference_data(posterior, shown, kept, heights, plan.seed, LIBRARY)
     record = store.fit_record(
-        posterior, figures, floor, verdict, table, pareto_k=tail,
+        posterior, figures, widening, verdict, table, pareto_k=tail,
         device=name, seed=plan.seed, key=key, convergence=converged.word, remarks=remarks_of(posterior.model, natural),
     )  # fmt: skip
     if folder is not None:
         record = store.write_fit(folder, data, table, record)
-    return Fit(posterior, data, table, figures, floor, verdict, record)
+    return Fit(posterior, data, table, figures, widening, verdict, record)
 
 
-def with_floor(verdict: FitVerdict, floor: Floor, tail: float = 0.0) -> FitVerdict:
+def with_widening(verdict: FitVerdict, widening: Widening, tail: float = 0.0) -> FitVerdict:
     """Verdict of a fit whose intervals were held against the scatter of cycles; `tail` is Pareto k of its weights."""
     reasons = list(verdict.reasons)
-    if floor.widened:
-        worst = int(np.argmax(floor.factor))
+    if widening.widened:
+        worst = int(np.argmax(widening.factor))
         reasons.append(
-            f"the cycles scatter more than the model and its noise allow ({floor.names[worst]} "
-            f"{floor.factor[worst]:.1f} times, over {floor.n_pieces} cycles): the intervals of "
-            f"{', '.join(floor.widened)} are as wide as that; `shj-bayes diagnose` looks for what the model leaves out"
+            f"the cycles scatter more than the model and its noise allow ({widening.names[worst]} "
+            f"{widening.factor[worst]:.1f} times, over {widening.n_pieces} cycles): the intervals of "
+            f"{', '.join(widening.widened)} are as wide as that; `shj-bayes diagnose` looks for what the model leaves "
+            "out"
         )
     if tail >= PARETO_LIMIT:
         reasons.append(

@@ -31,7 +31,7 @@ STEP = 0.1  # of a posterior standard deviation, for the scores
 
 
 @dataclass(frozen=True, eq=False)
-class Floor:
+class Widening:
     """By how much the intervals of a posterior must be wider for what the cycles scatter."""
 
     names: tuple[str, ...]
@@ -50,7 +50,7 @@ class Floor:
         return np.asarray(centre + (chains - centre) * self.factor)
 
 
-def floor_of(posterior: Posterior, start: Start) -> Floor:
+def widening_of(posterior: Posterior, start: Start) -> Widening:
     """Compare the width of a posterior with the scatter from cycle to cycle at its top."""
     scores, information = _scores(posterior, start), _information(posterior, start)
     sd, n_law = np.sqrt(np.diag(start.covariance)), posterior.model.n_law
@@ -76,7 +76,7 @@ def floor_of(posterior: Posterior, start: Start) -> Floor:
         factor = np.maximum(factor, np.where(told & (ratio > limit), ratio, 1.0))
     # The prior holds what the cycles do not: no interval need be wider than its own.
     factor = np.minimum(factor, np.maximum(1.0, 1.0 / sd))
-    return Floor(posterior.names, factor, scatter, n_pieces)
+    return Widening(posterior.names, factor, scatter, n_pieces)
 
 
 def _scores(posterior: Posterior, start: Start) -> FloatArray:

@@ -48,7 +48,7 @@ from shj_bayes.results.store import CHECKPOINT, FILES, write
 
 if TYPE_CHECKING:
     from shj_bayes.inference.convergence import Diagnostics, FitVerdict
-    from shj_bayes.inference.robust import Floor
+    from shj_bayes.inference.robust import Widening
 
 
 UNDETERMINED = 0.6  # of the prior's width: the data took less than half of the uncertainty away
@@ -224,7 +224,7 @@ def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> pd.
 def fit_record(
     posterior: Posterior,
     figures: Diagnostics,
-    floor: Floor,
+    widening: Widening,
     verdict: FitVerdict,
     table: pd.DataFrame,
     pareto_k: float,
@@ -276,9 +276,9 @@ def fit_record(
             pareto_k=pareto_k if math.isfinite(pareto_k) else None,
         ),
         cycles=CyclesRecord(
-            n_pieces=floor.n_pieces,
-            scatter_over_posterior=dict(zip(floor.names, floor.scatter.tolist(), strict=True)),
-            widening=dict(zip(floor.names, floor.factor.tolist(), strict=True)),
+            n_pieces=widening.n_pieces,
+            scatter_over_posterior=dict(zip(widening.names, widening.scatter.tolist(), strict=True)),
+            widening=dict(zip(widening.names, widening.factor.tolist(), strict=True)),
         ),
         noise_at_rest=math.exp(posterior.at_rest),
         reduction=tuple(Reduction(n_blocks=part.n, n_samples=run.recording.n_samples) for part, run in pairs),

@@ -16,11 +16,11 @@ import xarray as xr
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference import store
 from shj_bayes.inference.convergence import FitVerdict, judge
-from shj_bayes.inference.fit import CHECKPOINT, Fit, evenly_spread, fit, weights_of_all_samples, with_floor
+from shj_bayes.inference.fit import CHECKPOINT, Fit, evenly_spread, fit, weights_of_all_samples, with_widening
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
 from shj_bayes.inference.quiet_arviz import az
-from shj_bayes.inference.robust import Floor
+from shj_bayes.inference.robust import Widening
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import effects_named
@@ -119,7 +119,7 @@ def test_draws_and_densities_belong_together(fitted: Fitted) -> None:
     """Where no interval was widened, the density of a stored draw is the one that was stored for it."""
     result = fitted[0]
     posterior, data = result.posterior, result.data
-    assert not result.floor.widened
+    assert not result.widening.widened
     theta = np.stack([data["posterior"][n].to_numpy()[2, :5] for n in posterior.names], axis=1)
     lp = data["sample_stats"]["lp"].to_numpy()
     assert lp.shape == data["posterior"]["K"].shape
@@ -200,11 +200,11 @@ def test_samples_that_contradict_their_averages_weigh_nothing(make_small: Callab
         weights = weights_of_all_samples(posterior, start, draws)[0]
         moved.append(np.std(np.log(weights)))
     assert moved[1] < 0.6 * moved[0]
-    floor = Floor(small.names, np.ones(len(small.names)), np.ones(len(small.names)), 0)
+    widening = Widening(small.names, np.ones(len(small.names)), np.ones(len(small.names)), 0)
     verdict = FitVerdict(Trust.RELIABLE, ("they agree",))
-    assert with_floor(verdict, floor, 0.2) == verdict
-    assert with_floor(verdict, floor, 0.9).word == Trust.TENTATIVE
-    assert "Pareto k 0.90" in with_floor(verdict, floor, 0.9).reasons[1]
+    assert with_widening(verdict, widening, 0.2) == verdict
+    assert with_widening(verdict, widening, 0.9).word == Trust.TENTATIVE
+    assert "Pareto k 0.90" in with_widening(verdict, widening, 0.9).reasons[1]
 
 
 @pytest.mark.parametrize("noise", ["slow", "ar1", "independent", "student"])
