@@ -57,6 +57,7 @@ NAMED = 0.1  # nats by which the one that a formula follows comes first
 # Blocks in which all classes are looked for. What needs more comes again after so short a way that no formula is known
 # for it; it is found, and nothing beside it.
 MOST_BLOCKS = 8000
+BY_TEETH = 0.3  # of their size: what teeth make of a mean force. More is missed otherwise, and looks like larger teeth
 MOST_FINAL = 6  # hypotheses that are weighed under noise of their own
 
 
@@ -86,14 +87,12 @@ def search(
     metric = noise_beside(data, rough, [*looked, *again], None)
     out = Search(Fitter(data, looked, metric, hidden), tell=tell).add((), data.z)
     assert out.found
-    out = deepen_from(detect_chatter(try_constant(out)), 0)
+    out = deepen_from(try_constant(out), 0)
     if whole != list(classes):
         # Only now: beside few classes, curves over time that change within a cycle do what many others do together.
         out = look_for(out, tuple(classes))
         out = deepen_from(out, len(out.best.members))
-    heard, out = out.chatter, detect_chatter(out)
-    if heard and not out.chatter:
-        out = detect_chatter(deepen_from(out, len(out.best.members)))
+    out = detect_chatter(out)
     if not out.metric.is_capped:
         out = split_curve(out)
     return detect_chatter(finish(swap_one(out)))
@@ -105,7 +104,7 @@ def deepen_from(out: Search, first: int) -> Search:
     Nor better than more noise, where the noise is capped: any curve has some evidence then.
     """
     for depth in range(first, DEPTH):
-        before = out.best
+        before, out = out.best, detect_chatter(out, most=BY_TEETH)
         out.tell(f"looking beyond {' and '.join(sorted(before.key)) or 'the base law'}")
         out = _grown(out, depth)
         if out.best.key != before.key:
@@ -144,10 +143,14 @@ def _refined(out: Search, before: Hypothesis, depth: int) -> Search:
     return refit_noise(drop_one(out, out.best))
 
 
-def detect_chatter(out: Search) -> Search:
-    """Look for chatter beside the best hypothesis."""
-    sought = "stick_slip" not in out.fitter.hidden and str(TEETH) not in out.best.key
-    return replace(out, chatter=chatter_of(out.data, out.best.state, out.data.noise_most_kN) if sought else None)
+def detect_chatter(out: Search, most: float = math.inf) -> Search:
+    """Look for chatter beside the best hypothesis; what that misses in the mean is at most so much of the teeth."""
+    data, state, chatter = out.data, out.best.state, None
+    if "stick_slip" not in out.fitter.hidden and str(TEETH) not in out.best.key:
+        chatter = chatter_of(data, state, data.noise_most_kN)
+        missed = math.sqrt(float(np.mean(state.residual[data.used > 0] ** 2))) / data.scale_kN
+        chatter = chatter if chatter and missed <= most * chatter.size else None
+    return replace(out, chatter=chatter)
 
 
 def finish(out: Search) -> Search:
