@@ -57,7 +57,7 @@ NAMED = 0.1  # nats by which the one that a formula follows comes first
 # Blocks in which all classes are looked for. What needs more comes again after so short a way that no formula is known
 # for it; it is found, and nothing beside it.
 MOST_BLOCKS = 8000
-BY_TEETH = 0.3  # of their size: what teeth make of a mean force. More is missed otherwise, and looks like larger teeth
+BY_TEETH = 0.4  # of their size: what teeth make of a mean force. More is missed otherwise, and looks like larger teeth
 MOST_FINAL = 6  # hypotheses that are weighed under noise of their own
 
 
@@ -144,12 +144,12 @@ def _refined(out: Search, before: Hypothesis, depth: int) -> Search:
 
 
 def detect_chatter(out: Search, most: float = math.inf) -> Search:
-    """Look for chatter beside the best hypothesis; what that misses in the mean is at most so much of the teeth."""
+    """Look for chatter beside the best hypothesis; what that misses in the mean is at first at most so much of it."""
     data, state, chatter = out.data, out.best.state, None
     if "stick_slip" not in out.fitter.hidden and str(TEETH) not in out.best.key:
         chatter = chatter_of(data, state, data.noise_most_kN)
         missed = math.sqrt(float(np.mean(state.residual[data.used > 0] ** 2))) / data.scale_kN
-        chatter = chatter if chatter and missed <= most * chatter.size else None
+        chatter = chatter if chatter and (out.chatter or missed <= most * chatter.size) else None
     return replace(out, chatter=chatter)
 
 
