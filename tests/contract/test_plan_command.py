@@ -16,7 +16,6 @@ from shj_bayes.model.simulate import Truth
 from shj_bayes.planning.protocol import Rig, read_rig
 from shj_bayes.recording.reader import read
 
-pytestmark = pytest.mark.usefixtures("empty_pictures")
 TRUTH = Truth(gamma=1 / 60, phi=0.0)
 
 
