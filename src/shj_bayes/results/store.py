@@ -27,6 +27,7 @@ from shj_bayes.results.fit import FitRecord
 DIAGNOSIS = "diagnosis"  # in the folder of a device of a campaign: that of its diagnosis
 FILES = ("posterior.nc", "summary.csv", "summary.json")  # whose digests stand in fit.json
 CHECKPOINT = "checkpoint.h5"  # of a fit that is under way, or has not converged
+CHUNK = 512  # samples that all draws of are compressed together
 COMPRESSED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 SOURCES = ("**/*.py", "**/templates/*", "**/scripts/*")  # of the package
 Said = TypeVar("Said")
@@ -136,7 +137,8 @@ def write_netcdf(path: Path, groups: Mapping[str, Group], words: Mapping[str, An
             arrays = group.arrays.values()
             place.dimensions = {d: n for names, values, _ in arrays for d, n in zip(names, values.shape, strict=True)}
             for variable, (dimensions, values, own) in group.arrays.items():
-                made = place.create_variable(variable, dimensions, values.dtype, data=values, **COMPRESSED)
+                chunks = (*values.shape[:2], min(CHUNK, values.shape[2])) if values.ndim > 2 else None
+                made = place.create_variable(variable, dimensions, data=values, chunks=chunks, **COMPRESSED)
                 made.attrs.update(own)
 
 
