@@ -187,7 +187,7 @@ class Figure:
 
     def __init__(
         self, width: float, height: float, heights: Sequence[float] = (1.0,), columns: int = 1, *,
-        gap: Range = (14.0, 14.0), left: float = LEFT, right: float = RIGHT, top: float = TOP, bottom: float = BOTTOM,
+        gap: Range = (26.0, 14.0), left: float = LEFT, right: float = RIGHT, top: float = TOP, bottom: float = BOTTOM,
     ) -> None:  # fmt: skip
         """Lay the diagrams out, all of a row as wide as one another."""
         self.width, self.height, self.axes = width, height, []
