@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,7 +67,7 @@ class Fit:
     verdict: FitVerdict  # can the numbers be used
     record: FitRecord
 
-    @property
+    @cached_property
     def data(self) -> xr.DataTree:
         """Posterior and what goes with it."""
         import xarray as xr  # noqa: PLC0415  it and pandas take a second to import, which commands need not wait for
