@@ -1,7 +1,7 @@
 """All speed measurements, or some of them: ``python benchmarks/bench.py law likelihood fits``.
 
-``make bench`` runs all: law, likelihood, reduction, fits, moves, effects, population, workers, peers. Each part is a
-script of its own with its own options.
+``make bench`` runs all: commands, law, likelihood, reduction, fits, moves, effects, population, workers,
+peers. Each part is a script of its own with its own options.
 ``peers`` takes half an hour and what ``benchmarks/requirements.txt`` names; peers that are not installed are left out.
 """
 
@@ -11,7 +11,7 @@ import runpy
 import sys
 from pathlib import Path
 
-PARTS = ("law", "likelihood", "reduction", "fits", "moves", "effects", "population", "workers", "peers")
+PARTS = ("commands", "law", "likelihood", "reduction", "fits", "moves", "effects", "population", "workers", "peers")
 
 
 def main() -> int:

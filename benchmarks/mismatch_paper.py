@@ -66,7 +66,7 @@ def located(diagnosis: DiagnosisResult) -> str:
             out.append(f"{low:.3g} to {high:.3g} {unit} {top['direction']} {top['size_kN']:+.1f} kN")
         else:
             out.append(f"no region of {coordinate}")
-    c = {name: diagnosis.channels[name].to_numpy() for name in diagnosis.channels}
+    c = diagnosis.channels
     left = (c["force_kN"] - c["before_kN"]) * c["direction"]
     fast = (c["speed_mm_s"] > 9.0) & (np.abs(c["position_mm"]) < 20.0) & (c["slip_mm"] > 20.0)
     out.append(f"left at mid-stroke, speed above 9 mm/s: {left[fast].mean():+.1f} kN")

@@ -1,6 +1,5 @@
 """A small simulated device that fits in well under a second, for every test that needs data."""
 
-import base64
 import signal
 from collections.abc import Callable, Iterator
 
@@ -18,7 +17,6 @@ from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population import hierarchy
 from shj_bayes.recording.motion import Block, exact_motion
-from shj_bayes.report.figures import canvas, posterior
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 
@@ -117,24 +115,6 @@ def truth() -> Truth:
 def as_vector() -> Callable[..., np.ndarray]:
     """Truth as a parameter set of a posterior, shape (1, d)."""
     return vector_of
-
-
-EMPTY = {
-    "svg": b'<svg xmlns="http://www.w3.org/2000/svg"/>',
-    "png": base64.b64decode(
-        "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNkYPhfDwAChwGA60e6kgAAAABJRU5ErkJggg=="
-    ),
-}
-
-
-@pytest.fixture(scope="module")
-def empty_pictures() -> Iterator[None]:
-    """Leave the pictures of pages empty where tests are about something else; those of tests/report draw them."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(canvas, "_drawn", lambda figure, kind, dpi, metadata: EMPTY[kind])
-        for name in ("corner", "densities", "traces"):  # of dozens of panels
-            patch.setattr(posterior, name, lambda *_: canvas._data_uri("svg+xml", EMPTY["svg"]))
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,8 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.reader import read
-from shj_bayes.report.figures.canvas import BLUE, GREY, INK, RED, label, tidy
+from shj_bayes.report.figures.canvas import BLUE, GREY, INK, RED
+from shj_validation.canvas import label, tidy
 from shj_validation.proof.cases import Key, stated_key
 from shj_validation.proof.make import make
 from shj_validation.proof.run import write_recordings

@@ -24,7 +24,6 @@ from shj_bayes.recording.recording import Recording
 from shj_bayes.results import store
 from shj_bayes.results.fit import FitRecord
 
-pytestmark = pytest.mark.usefixtures("empty_pictures")
 CURVE = Curve("capacity", "measured_tension", 0.5)
 TIME, MOTION = exact_motion(table_1(), 5.0)
 COLUMNS = "tension=Bolt load (kN),temperature=Plate (degC),load2=Second cell (kN)"

@@ -1,6 +1,7 @@
 """``shj-bayes plan``: from a folder of results to a plan, its displacement history and its page, and back in Python."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,12 @@ from click.testing import CliRunner
 import shj_bayes
 from shj_bayes.app.device import write_simulated
 from shj_bayes.cli import main
-from shj_bayes.errors import OptionError
+from shj_bayes.errors import OptionError, ShjError
 from shj_bayes.model.simulate import Truth
 from shj_bayes.planning.protocol import Rig, read_rig
 from shj_bayes.recording.reader import read
+from shj_bayes.results.store import DIAGNOSIS
 
-pytestmark = pytest.mark.usefixtures("empty_pictures")
 TRUTH = Truth(gamma=1 / 60, phi=0.0)
 
 
@@ -55,6 +56,26 @@ def test_a_plan_is_written_printed_and_loaded(fitted: Path, tmp_path: Path) -> N
     assert loaded.page == out / "plan.html"
     assert loaded.history.equals(history)
     assert list(loaded.compared["name"])[-1] == "Table 1"
+
+
+def test_a_first_look_below_its_fit_is_planned_from(fitted: Path, tmp_path: Path) -> None:
+    """As a campaign leaves them; alone it has no recordings, and of other recordings it says nothing of this fit."""
+    device = tmp_path / "device"
+    shutil.copytree(fitted, device)
+    run = fitted.parent / "a-run1.csv"
+    look = shj_bayes.diagnose(run, device / DIAGNOSIS, quick=True).record
+    rig = {"max_minutes": 4.0, "max_speed_mm_s": 15.0}
+    plans = [shj_bayes.plan(one, tmp_path / "next", **rig).record for one in (device, device / DIAGNOSIS)]
+    assert plans[0]["question"] == plans[1]["question"]
+    states = [{frozenset(one["classes"]) for one in plan["devices"][0]["sets"]} for plan in plans]
+    assert states[0] == states[1]
+    assert {frozenset(row["classes"]) for row in look["sets"] if row["probability"] > 0.01} <= states[0]
+    (device / "fit.json").unlink()
+    with pytest.raises(ShjError, match="holds a first look and no fit"):
+        shj_bayes.plan(device / DIAGNOSIS, tmp_path / "next")
+    shj_bayes.fit(fitted.parent / "a-run2.csv", device, max_steps=60, threads=1)
+    with pytest.raises(ShjError, match="is of other recordings than the fit"):
+        shj_bayes.plan(device, tmp_path / "next")
 
 
 def test_what_cannot_be_planned_is_said_in_one_line(fitted: Path, tmp_path: Path) -> None:

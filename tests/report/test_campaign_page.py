@@ -153,10 +153,10 @@ def test_many_devices_do_not_hide_the_band(monkeypatch: pytest.MonkeyPatch, n: i
     monkeypatch.setattr(figures, "svg", drawn.append)
     devices = tuple((f"d{k}", (70.0 + k, 71.0 + k, 72.0 + k)) for k in range(n))
     figures.bands([sets.SetBand("a", n, "kN", (60.0, 80.0, 100.0), {}, devices)], "sliding force (kN)")
-    lines = drawn[0].axes[0].lines
-    bar = next(line for line in lines if tuple(line.get_xdata()) == (60.0, 100.0))
-    dots = [line for line in lines if line.get_marker() == "o" and line.get_xdata().size]
-    heights = np.concatenate([line.get_ydata() for line in dots])
+    marks = drawn[0].axes[0].marks
+    bar = next(y for x, y, _ in marks if tuple(x) == (60.0, 100.0))
+    dots = [y for x, y, draw in marks if "form" in draw.keywords and x.size]
+    heights = np.concatenate(dots)
     assert heights.size == n
     assert (len(dots) == 1) == crowded
-    assert (np.abs(heights - bar.get_ydata()[0]).min() > 0.2) == crowded
+    assert (np.abs(heights - bar[0]).min() > 0.2) == crowded

@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import tomllib
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 
 import click
@@ -21,8 +22,8 @@ from shj_bayes import __version__
 from shj_bayes.app.manifest import SCHEMA, read_manifest
 from shj_bayes.cli import main
 from shj_bayes.inference.convergence import RHAT_LIMIT
-from shj_bayes.inference.store import SUMMARY_COLUMNS
 from shj_bayes.model.priors import read_priors, shipped_families
+from shj_bayes.results.fit import ParameterRow
 
 TOP = Path(__file__).resolve().parents[2]
 FOLDERS = ("docs", "data", "priors", "reports")
@@ -193,7 +194,7 @@ def test_recordings_page_lists_every_code() -> None:
 
 def test_pages_say_what_the_code_does() -> None:
     results = text(TOP / "docs/results.md")
-    assert all(f"`{column}`" in results for column in SUMMARY_COLUMNS)
+    assert all(f"`{column}`" in results for column in (one.name for one in fields(ParameterRow)))
     assert f"R-hat below {RHAT_LIMIT}" in results
     families = re.findall(r"^\| `(\w+)`", text(TOP / "priors/README.md"), re.MULTILINE)
     assert sorted(families) == shipped_families()

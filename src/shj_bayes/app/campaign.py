@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from tqdm import tqdm
 
@@ -29,6 +29,9 @@ from shj_bayes.results.codec import from_json, to_json
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord, Trust
 from shj_bayes.results.store import DIAGNOSIS, digests, find, made, write
+
+if TYPE_CHECKING:
+    from shj_bayes.app.device import Work
 
 FAILED = "failed"
 WRITES = (*POPULATION, *MARGINS, "comparison-curves.csv", "report.html")
@@ -218,26 +221,27 @@ def _fit_one(device: Device, folder: Path) -> Outcome:
 
     place, off = folder / device.folder, device.diagnose == "off"
     given = device.recordings, place, device.options
-    result = _tried(lambda: fit_device(*given, name=device.name, page=off, work=Work(threads=1)))
+    work = Work(threads=1, held={})
+    result = _tried(lambda: fit_device(*given, name=device.name, page=off, work=work))
     if isinstance(result, str):
         return Outcome(device, FAILED, result)
     outcome = _outcome(device, result)
     if off:
         return replace(outcome, diagnosis="off")
-    outcome = _diagnosed(device, place, outcome, result.record.key)
+    outcome = _diagnosed(device, place, outcome, result.record.key, work)
     page = _tried(lambda: render_device(place))  # now, since it says what the diagnosis found
     return replace(outcome, status=FAILED, reason=page) if isinstance(page, str) else outcome
 
 
-def _diagnosed(device: Device, place: Path, outcome: Outcome, key: str) -> Outcome:
+def _diagnosed(device: Device, place: Path, outcome: Outcome, key: str, work: Work) -> Outcome:
     """Diagnose a fitted device, where that was not done earlier."""
-    from shj_bayes.app.device import Work, diagnose_device  # noqa: PLC0415
+    from shj_bayes.app.device import diagnose_device  # noqa: PLC0415
 
     known = _kept_diagnosis(device, place, key)
     if known is not None:
         return replace(outcome, diagnosis=known)
     given = device.recordings, place / DIAGNOSIS, device.options, DiagnoseOptions(quick=device.diagnose == "quick")
-    found = _tried(lambda: diagnose_device(*given, name=device.name, work=Work(threads=1)))
+    found = _tried(lambda: diagnose_device(*given, name=device.name, work=work))
     if isinstance(found, str):
         return replace(outcome, status="done", diagnosis=FAILED, diagnosis_reason=found)
     return replace(outcome, status="done", diagnosis=found.record.verdict)

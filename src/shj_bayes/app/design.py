@@ -46,6 +46,7 @@ from shj_bayes.population.device import PUBLISHED, Claim, common, device_from_fi
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, fit_population
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
 from shj_bayes.population.results import load_population, record_of, safe_cell, write_population
+from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_page import NOMINAL, band_words, extrapolated_words, holds_words, render_margins, told
 from shj_bayes.report.sets import FORCES, SHOWN, contrast_words, curve_words, multiplicity_words, name_of, pairs
@@ -62,8 +63,6 @@ def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progr
     Arguments are those of `shj_bayes.app.campaign.summarise_campaign`. ``record`` is for machines, ``lines`` for
     people.
     """
-    from shj_bayes.report.campaign import render_campaign  # noqa: PLC0415  (needs matplotlib)
-
     if not usable:
         for name in WRITES:  # of devices that are no longer there
             (folder / name).unlink(missing_ok=True)
@@ -95,7 +94,6 @@ def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progr
 
 def pooled_tables(claims: Sequence[Claim], folder: Path, *, seed: int, progress: bool = False) -> dict[str, Any]:
     """Pool the published tables and write their page with the paper's claims; as for `pooled_campaign`."""
-    from shj_bayes.report.campaign import render_tables  # noqa: PLC0415  (needs matplotlib)
 
     def pool() -> None:
         population = replace(fit_population(published_devices(), seed=seed, progress=progress), tested=PUBLISHED)

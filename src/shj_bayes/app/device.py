@@ -75,12 +75,16 @@ class Work:
     threads: int = 0  # ensembles that run at the same time, 0 for one per processor
     force: bool = False  # replace the result of another device in the folder
     tell: Callable[[str], None] = lambda _: None  # gets one line for each step
+    # recordings of a device by their files, where one is fitted and diagnosed with the same options: read once
+    held: dict[tuple[Path | Recording, ...], list[Recording]] | None = None
 
     def begin(
         self, paths: Sequence[Path | Recording], folder: Path, options: FitOptions, name: str | None
     ) -> tuple[list[Recording], str]:
         """Read a device that may be written into a folder: its recordings and its name."""
-        recordings = _usable(paths, options, self.tell)
+        recordings = (self.held or {}).get(tuple(paths)) or _usable(paths, options, self.tell)
+        if self.held is not None:
+            self.held[tuple(paths)] = recordings
         first = paths[0].source if isinstance(paths[0], Recording) else paths[0]
         name = name_of_device(name, first.name)
         if not self.force:

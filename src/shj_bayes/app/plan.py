@@ -28,7 +28,8 @@ from shj_bayes.planning.rivals import (
 )
 from shj_bayes.report.plan_page import plan_text, render_plan
 from shj_bayes.results.diagnosis import DiagnosisRecord
-from shj_bayes.results.store import has, read
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import DIAGNOSIS, diagnosis_in, has, read
 
 HEADROOM = 1.3  # of the largest force so far, that a rig is taken to bear where nothing is said
 FIRST_RATE_HZ = 20.0  # where no test has been made and nothing is said
@@ -94,7 +95,14 @@ def _written(out: Path, record: PlanRecord, plan: Plan | None) -> CommandResult:
 def _read(folder: Path) -> DeviceUnderTest:
     if not folder.is_dir():
         raise PlanError(f"{folder} is not a folder of results; run shj-bayes diagnose first, or plan from --priors")
-    return read_device(folder, read(DiagnosisRecord, folder) if has(DiagnosisRecord, folder) else None)
+    # A campaign puts the diagnosis of a device, by default a first look, below the fit of the same recordings.
+    below = folder.name == DIAGNOSIS and not has(FitRecord, folder) and has(FitRecord, folder.parent)
+    place = folder.parent if below else folder
+    looked = place / diagnosis_in(place)
+    diagnosis = read(DiagnosisRecord, looked) if has(DiagnosisRecord, looked) else None
+    if diagnosis and looked != place and diagnosis.sha256_of_inputs != read(FitRecord, place).sha256_of_inputs:
+        raise PlanError(f"{looked} is of other recordings than the fit in {place.name}; run shj-bayes diagnose again")
+    return read_device(place, diagnosis)
 
 
 def _rig(tested: Sequence[DeviceUnderTest], base: DeviceModel, limits: Mapping[str, float]) -> Rig:

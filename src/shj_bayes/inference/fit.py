@@ -1,17 +1,19 @@
 """The fit of one device, from recordings to its files, without the page."""
 
+from __future__ import annotations
+
 import math
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
-import xarray as xr
 from numpy.typing import NDArray
 
 from shj_bayes.inference import store
@@ -26,7 +28,11 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.noise.filter import whiten
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.fit import FitRecord, Trust
-from shj_bayes.results.store import CHECKPOINT
+from shj_bayes.results.store import CHECKPOINT, Group
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 WAIT_S = 2.0  # reading the cache takes a tenth of it
 TEXT = "compiling the law for this machine: once after installation, up to a minute\n"
@@ -55,12 +61,26 @@ class Fit:
     """A finished fit."""
 
     posterior: Posterior
-    data: xr.DataTree  # posterior and what goes with it
-    summary: pd.DataFrame  # one row for each parameter
+    groups: Mapping[str, Group]  # content of ``posterior.nc``
     figures: Diagnostics
     widening: Widening  # how the intervals compare with the scatter from cycle to cycle
     verdict: FitVerdict  # can the numbers be used
     record: FitRecord
+
+    @cached_property
+    def data(self) -> xr.DataTree:
+        """Posterior and what goes with it."""
+        import xarray as xr  # noqa: PLC0415  it and pandas take a second to import, which commands need not wait for
+
+        of_group = {name: xr.Dataset(group.arrays, attrs=group.words) for name, group in self.groups.items()}
+        return xr.DataTree.from_dict({name: xr.decode_cf(one, decode_times=False) for name, one in of_group.items()})
+
+    @property
+    def summary(self) -> pd.DataFrame:
+        """Table of the parameters, one row for each."""
+        import pandas as pd  # noqa: PLC0415  (as above)
+
+        return pd.DataFrame([vars(row) for row in self.record.parameters])
 
 
 def fit(
@@ -112,14 +132,14 @@ def fit(
     shown = widening.spread(kept, kept.reshape(-1, kept.shape[-1]).mean(axis=0))
     natural = posterior.natural(shown)
     table = store.summary(posterior.model, figures, natural)
-    data = store.inference_data(posterior, shown, kept, heights, plan.seed, LIBRARY)
+    groups = store.groups_of(posterior, shown, kept, heights, plan.seed, LIBRARY)
     record = store.fit_record(
         posterior, figures, widening, verdict, table, pareto_k=tail,
         device=name, seed=plan.seed, key=key, convergence=converged.word, remarks=remarks_of(posterior.model, natural),
     )  # fmt: skip
     if folder is not None:
-        record = store.write_fit(folder, data, table, record)
-    return Fit(posterior, data, table, figures, widening, verdict, record)
+        record = store.write_fit(folder, groups, record)
+    return Fit(posterior, groups, figures, widening, verdict, record)
 
 
 def with_widening(verdict: FitVerdict, widening: Widening, tail: float = 0.0) -> FitVerdict:

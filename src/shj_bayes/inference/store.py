@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
 import platform
@@ -14,8 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
-import xarray as xr
 from numpy.typing import NDArray
 
 import shj_bayes
@@ -44,7 +44,7 @@ from shj_bayes.results.fit import (
     Trust,
     ZeroError,
 )
-from shj_bayes.results.store import CHECKPOINT, FILES, write
+from shj_bayes.results.store import CHECKPOINT, FILES, Group, write, write_netcdf
 
 if TYPE_CHECKING:
     from shj_bayes.inference.convergence import Diagnostics, FitVerdict
@@ -80,8 +80,7 @@ def remarks_of(model: DeviceModel, chains: FloatArray) -> tuple[RemarkRecord, ..
     return tuple(out)
 
 
-Group = Callable[..., xr.Dataset]  # `_group` with the words of a fit
-SUMMARY_COLUMNS = ("name", "unit", "mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
+Grouped = Callable[..., Group]  # `_group` with the words of a fit
 N_STORED, N_LOOPS = 500, 25  # draws of each ensemble, and those of them with the force of every sample
 N_PRIOR, N_FORESEEN = 4000, 100  # draws of the prior, and those of them with forces of half-cycles
 N_POINTS = 12_000  # of each run in the file, about
@@ -106,9 +105,9 @@ MEANINGS = {  # unit and meaning of what is not a parameter, by name
 AS_SAMPLED = "of the draws as sampled; those in posterior are wider where the record's cycles, widening is above 1"
 
 
-def inference_data(
+def groups_of(
     posterior: Posterior, shown: FloatArray, sampled: FloatArray, heights: FloatArray, seed: int, library: str
-) -> xr.DataTree:
+) -> dict[str, Group]:
     """Everything a reader of the fit needs, in the groups of ArviZ.
 
     `shown` are the kept draws in the unbounded space, shape (n_ensembles, n, d), no narrower than the cycles
@@ -140,9 +139,10 @@ def inference_data(
         **_sample_groups(group, posterior, draws, rng),
     }
     for name in ("log_likelihood", "log_prior"):
-        for variable in groups[name].data_vars.values():
-            variable.attrs.update(units="1", meaning=f"{name.replace('_', ' ')} of: {variable.attrs['meaning']}")
-    return xr.DataTree.from_dict(groups)
+        for dimensions, _, words in groups[name].arrays.values():
+            if len(dimensions) > 1:
+                words.update(units="1", meaning=f"{name.replace('_', ' ')} of: {words['meaning']}")
+    return groups
 
 
 def _words(posterior: Posterior) -> dict[str, tuple[str, str]]:
@@ -155,8 +155,8 @@ def _words(posterior: Posterior) -> dict[str, tuple[str, str]]:
 
 
 def _half_cycle_groups(
-    group: Group, posterior: Posterior, draws: FloatArray, prior: FloatArray, rng: np.random.Generator
-) -> dict[str, xr.Dataset]:
+    group: Grouped, posterior: Posterior, draws: FloatArray, prior: FloatArray, rng: np.random.Generator
+) -> dict[str, Group]:
     """Group by half-cycle what is likely and predicted for draws, and what was measured."""
     n_ensembles, _, d = draws.shape
     likely, predicted, measured = half_cycles(posterior, draws.reshape(-1, d), rng)
@@ -185,8 +185,8 @@ def _half_cycle_groups(
 
 
 def _sample_groups(
-    group: Group, posterior: Posterior, draws: FloatArray, rng: np.random.Generator
-) -> dict[str, xr.Dataset]:
+    group: Grouped, posterior: Posterior, draws: FloatArray, rng: np.random.Generator
+) -> dict[str, Group]:
     """Group by sample the recordings, and the force that a few draws give."""
     points = tuple(points_of(run, N_POINTS) for run in posterior.runs)
     begins = np.cumsum([0, *(run.recording.n_samples for run in posterior.runs[:-1])])
@@ -196,29 +196,21 @@ def _sample_groups(
     forces = {"force": noisy, "force_model": clean}
     forces = {name: force.reshape(draws.shape[0], few.size, -1) for name, force in forces.items()}
     loops = group("posterior predictive at the points of constant_data", forces, at | {"draw": few})
-    for name in forces:
-        _pack(loops.variables[name])
     return {
         "constant_data": group("recordings, thinned where they are long", _channels(posterior, points), at),
-        "loops": loops,
+        "loops": _packed(loops),
     }
 
 
-def _pack(stored: xr.Variable) -> None:
-    """Have a variable of shape (chain, draw, point) written in 16 bits, to 1/16 384 of its largest value or finer."""
-    unit = np.float32(2.0 ** (np.floor(np.log2(np.abs(stored).max())) - 13))
-    stored.values = np.round(stored.values / unit).astype(np.float32) * unit
-    chunks = (*stored.shape[:2], min(512, stored.shape[2]))
-    stored.encoding.update(dtype="int16", _FillValue=np.int16(-32768), scale_factor=unit, chunksizes=chunks)
-
-
-def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> pd.DataFrame:
-    """Table of the parameters (`SUMMARY_COLUMNS`) from kept draws in natural units, shape (..., d)."""
+def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> tuple[ParameterRow, ...]:
+    """Table of the parameters from kept draws in natural units, shape (..., d)."""
     flat = chains.reshape(-1, chains.shape[-1])
     of_draws = (flat.mean(axis=0), flat.std(axis=0, ddof=1), *np.quantile(flat, [0.05, 0.5, 0.95], axis=0))
-    words = ([parameter.name for parameter in model.parameters], [parameter.unit for parameter in model.parameters])
-    columns = (*words, *of_draws, figures.ess_bulk, figures.ess_tail, figures.rhat)
-    return pd.DataFrame(dict(zip(SUMMARY_COLUMNS, columns, strict=True)))
+    numbers = np.stack([*of_draws, figures.ess_bulk, figures.ess_tail, figures.rhat], axis=1)
+    rows = [[value if math.isfinite(value) else None for value in row] for row in numbers.tolist()]
+    columns = ("mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
+    named: list[dict[str, Any]] = [dict(zip(columns, row, strict=True)) for row in rows]
+    return tuple(ParameterRow(name=p.name, unit=p.unit, **row) for p, row in zip(model.parameters, named, strict=True))
 
 
 def fit_record(
@@ -226,7 +218,7 @@ def fit_record(
     figures: Diagnostics,
     widening: Widening,
     verdict: FitVerdict,
-    table: pd.DataFrame,
+    table: Sequence[ParameterRow],
     pareto_k: float,
     **asked: Any,
 ) -> FitRecord:
@@ -236,7 +228,7 @@ def fit_record(
     device, the seed and the key of the fit, the verdict on the chains alone (``convergence``), and the ``remarks``.
     """
     pairs = zip(posterior.averages, posterior.runs, strict=True)
-    means = table["mean"].to_numpy(dtype=np.float64)[None]
+    means = np.array([[row.mean for row in table]])
     runs = range(1, len(posterior.runs) + 1)
     zeros = [[float(value[0]) for value in zero_of_run(posterior, means, run)] for run in runs]
     model = posterior.model
@@ -282,9 +274,7 @@ def fit_record(
         ),
         noise_at_rest=math.exp(posterior.at_rest),
         reduction=tuple(Reduction(n_blocks=part.n, n_samples=run.recording.n_samples) for part, run in pairs),
-        parameters=tuple(
-            ParameterRow(**row) for row in json.loads(table.to_json(orient="records", double_precision=15))
-        ),
+        parameters=tuple(table),
     )
 
 
@@ -306,18 +296,24 @@ def _input(run: Run, zero_kN: float, zero_sd_kN: float) -> RunInput:
     )
 
 
-def write_fit(folder: Path, data: xr.DataTree, table: pd.DataFrame, record: FitRecord) -> FitRecord:
+def write_fit(folder: Path, groups: Mapping[str, Group], record: FitRecord) -> FitRecord:
     """Write ``posterior.nc``, ``summary.csv``, ``summary.json`` and, last, ``fit.json`` (each whole or not at all).
 
     The record gains ``files``, the SHA-256 of the other three and of the checkpoint of one to be gone on with,
     and ``digest``, that of the record itself.
     """
     known = {key: value for key, value in to_json(record).items() if key not in ("files", "digest")}
-    data.attrs.update(schema=SCHEMA, device=record.device, provenance=json.dumps(known))
+    words = {"schema": SCHEMA, "device": record.device, "provenance": json.dumps(known)}
+    n_bytes = sum(values.nbytes for group in groups.values() for _, values, _ in group.arrays.values())
     with replacing(folder / "posterior.nc") as part:
-        reserve(part, data.nbytes + 2**20)  # a MiB of names and attributes
-        data.to_netcdf(part, engine="h5netcdf")
-    write_text(folder / "summary.csv", table.assign(schema=SCHEMA).to_csv(index=False))
+        reserve(part, n_bytes + 2**20)  # a MiB of names and attributes
+        write_netcdf(part, groups, words)
+    table = io.StringIO()
+    rows = [{**vars(row), "schema": SCHEMA} for row in record.parameters]
+    written = csv.DictWriter(table, rows[0], lineterminator="\n")
+    written.writeheader()
+    written.writerows(rows)
+    write_text(folder / "summary.csv", table.getvalue())
     write(SummaryRecord(parameters=record.parameters), folder)
     left = (CHECKPOINT,) if record.verdict != Trust.RELIABLE and (folder / CHECKPOINT).is_file() else ()
     record = replace(record, files={name: file_digest(folder / name) for name in (*FILES, *left)})
@@ -371,23 +367,32 @@ def _group(
     meaning: str,
     variables: Mapping[str, NDArray[Any]],
     coords: Mapping[str, Any] | None = None,
-) -> xr.Dataset:
+) -> Group:
     """One group of the file: arrays by chain and draw, if by more than one number, and by the first of `coords`."""
-    coords = dict(coords or {})
-    last = list(coords)[:1]
-    data = xr.Dataset(
-        {name: (["chain", "draw", *last] if v.ndim > 1 else last, v) for name, v in variables.items()}, coords
-    )
-    data = data.assign_coords({name: np.arange(n) for name, n in data.sizes.items() if name not in coords})
-    for name, variable in data.variables.items():
-        units, what = words[str(name)]
-        variable.attrs.update(units=units, meaning=what)
-        variable.encoding.update(zlib=True, complevel=1, shuffle=True)
-    data.attrs.update(
-        meaning=meaning,
-        creation_library="shj-bayes",
-        creation_library_version=shj_bayes.__version__,
-        inference_library=library,
-        inference_library_version=version(library),
-    )
-    return data
+    given = {name: one if isinstance(one, tuple) else (name, one) for name, one in (coords or {}).items()}
+    last = tuple(given)[:1]
+    parts = {name: (("chain", "draw", *last) if v.ndim > 1 else last, v) for name, v in variables.items()}
+    sizes = {d: n for dimensions, v in parts.values() for d, n in zip(dimensions, v.shape, strict=True)}
+    parts |= {name: ((d,), v) for name, (d, v) in given.items()}
+    parts |= {d: ((d,), np.arange(n)) for d, n in sizes.items() if d not in given}
+    about = {
+        "meaning": meaning,
+        "creation_library": "shj-bayes",
+        "creation_library_version": shj_bayes.__version__,
+        "inference_library": library,
+        "inference_library_version": version(library),
+    }
+    if beside := " ".join(name for name, (d, _) in given.items() if name != d):
+        about["coordinates"] = beside
+    pairs = {name: dict(zip(("units", "meaning"), words[name], strict=True)) for name in parts}
+    return Group({name: (d, v, pairs[name]) for name, (d, v) in parts.items()}, about)
+
+
+def _packed(group: Group) -> Group:
+    """Hold forces of shape (chain, draw, point) in 16 bits, to 1/16 384 of the largest or finer."""
+    arrays = dict(group.arrays)
+    for name, (dimensions, values, words) in group.arrays.items():
+        if len(dimensions) > 1:
+            unit = np.float32(2.0 ** (np.floor(np.log2(np.abs(values).max())) - 13))
+            arrays[name] = (dimensions, np.round(values / unit).astype(np.int16), words | {"scale_factor": unit})
+    return Group(arrays, group.words)

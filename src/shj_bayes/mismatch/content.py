@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from shj_bayes.inference.run import Run, further_of, measured_of
 from shj_bayes.mismatch.data import BinnedData
@@ -22,7 +21,6 @@ from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.history import Measured, coordinate_of
 from shj_bayes.model.parameters import LAW_PARAMETERS, FloatArray, base_and_run
 from shj_bayes.results.diagnosis import (
-    SCHEMA,
     CandidateRecord,
     ChannelRecord,
     CurveRecord,
@@ -442,20 +440,18 @@ def _why(effect: Effect, name: str, kept: Mapping[str, float], answer: Answer, g
     return "explained by what was kept" if answer.findings else "too small, or too improbable, to matter"
 
 
-def channels(data: BinnedData, base: Laplace, shown: Laplace) -> xr.Dataset:
+def channels(data: BinnedData, base: Laplace, shown: Laplace) -> dict[str, FloatArray]:
     """Measured and modelled force over all that a page draws."""
     names = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m")
-    table: dict[str, Any] = {name: ("sample", data.channel(name)) for name in names}
-    table |= {
-        "direction": ("sample", np.sign(data.channel("direction"))),
-        "run": ("sample", run_of(data).astype(np.float64)),
-        "block": ("sample", cycles_of(data).astype(np.float64)),
-        "weight": ("sample", data.used),
-        "force_kN": ("sample", data.measured_kN),
-        "before_kN": ("sample", data.measured_kN - base.residual),
-        "after_kN": ("sample", data.measured_kN - shown.residual),
+    return {name: data.channel(name) for name in names} | {
+        "direction": np.sign(data.channel("direction")),
+        "run": run_of(data).astype(np.float64),
+        "block": cycles_of(data).astype(np.float64),
+        "weight": data.used,
+        "force_kN": data.measured_kN,
+        "before_kN": data.measured_kN - base.residual,
+        "after_kN": data.measured_kN - shown.residual,
     }
-    return xr.Dataset(table, attrs={"schema": SCHEMA})
 
 
 def draws_of(state: Laplace, seed: int, n: int = 2000) -> dict[str, FloatArray]:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import replacing
@@ -26,9 +25,9 @@ from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.options import DiagnoseOptions
 from shj_bayes.results.codec import to_json
-from shj_bayes.results.diagnosis import DiagnosedModel, DiagnosisRecord, Input, Sampled
+from shj_bayes.results.diagnosis import SCHEMA, DiagnosedModel, DiagnosisRecord, Input, Sampled
 from shj_bayes.results.fit import Trust
-from shj_bayes.results.store import write
+from shj_bayes.results.store import Group, write, write_netcdf
 
 Sampling = Callable[[DeviceModel, FloatArray], tuple[Mapping[str, FloatArray], Sampled]]
 
@@ -38,13 +37,14 @@ class DiagnosisResult:
     """A finished diagnosis."""
 
     record: DiagnosisRecord
-    channels: xr.Dataset  # content of ``diagnosis.nc``: measured and modelled force, before and after
+    channels: Mapping[str, FloatArray]  # content of ``diagnosis.nc``: measured and modelled force, before and after
 
     def write(self, folder: Path) -> None:
         """Write both files, the JSON last."""
         folder.mkdir(parents=True, exist_ok=True)
+        whole = Group({name: (("sample",), values, {}) for name, values in self.channels.items()}, {"schema": SCHEMA})
         with replacing(folder / "diagnosis.nc") as part:
-            self.channels.to_netcdf(part, engine="h5netcdf")
+            write_netcdf(part, {"": whole})
         (folder / "diagnosis.html").unlink(missing_ok=True)  # of the one before; no clock tells which came first
         write(self.record, folder)
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
-from scipy.signal import savgol_filter
 from scipy.special import ndtri
 
 from shj_bayes.inference.gaussian import log_gains
@@ -249,6 +248,8 @@ def _comes_again(residual: FloatArray, place: FloatArray, data: BinnedData, n_sm
         known = count > FEWEST_PASSES
         if known.sum() <= 2 * n_smooth + 1:
             continue
+        from scipy.signal import savgol_filter  # noqa: PLC0415  half a second, for long recordings only
+
         mean = np.bincount(bins, residual[own])[known] / count[known]
         rest = mean - savgol_filter(mean, 2 * n_smooth + 1, polyorder=3)
         each = residual[own] - np.interp(bins, np.flatnonzero(known), mean - rest)

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from shj_bayes.inference.start import extended, orthogonal_to
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
@@ -123,4 +123,4 @@ def _side(word: str, inside: NDArray[np.bool_], sense: FloatArray) -> FloatArray
 def _p_values(metric: ErrorModel, base: Laplace, table: FloatArray) -> FloatArray:
     """Two-sided chance of each column's product with the residual, beside the parameters of the law."""
     rest = metric.gaussian(base.beside(table)).given(base.z.size)
-    return np.asarray(2.0 * norm.sf(np.abs(rest.along) / np.sqrt(np.maximum(np.diag(rest.inner), 1e-300))))
+    return np.asarray(2.0 * ndtr(-np.abs(rest.along) / np.sqrt(np.maximum(np.diag(rest.inner), 1e-300))))

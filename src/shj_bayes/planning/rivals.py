@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import logsumexp
-from scipy.stats import chi2, nct, norm
+from scipy.special import chdtri, logsumexp, nctdtrit, ndtri
 
 from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import damage_told
@@ -68,7 +67,8 @@ def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> DeviceUnderT
     """
     if diagnosis is not None and not has(FitRecord, folder):
         raise PlanError(
-            f"{folder.name} holds a first look, which keeps no recordings; run shj-bayes diagnose without --quick"
+            f"{folder.name} holds a first look and no fit, so the recordings are not there; run shj-bayes fit with "
+            "them and the same -o, or shj-bayes diagnose without --quick"
         )
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PlanError):
         fit = DeviceResult.read(folder)
@@ -145,7 +145,7 @@ def further_devices(forces_kN: Sequence[float], errors: Sequence[float]) -> Furt
         )
     logs = np.log(np.asarray(forces_kN, dtype=np.float64))
     spread = max(float(logs.std(ddof=1)), float(np.sqrt(np.mean(np.square(errors)))), 1e-4)
-    likely = [spread * math.sqrt((n - 1) / float(chi2.ppf(q, n - 1))) for q in (0.5, 1.0 - ASSURANCE)]
+    likely = [spread * math.sqrt((n - 1) / float(chdtri(n - 1, q))) for q in (0.5, ASSURANCE)]
     rows, needed = [], None
     for more in range(MOST + 1):
         unit = half_width(n + more)
@@ -155,15 +155,15 @@ def further_devices(forces_kN: Sequence[float], errors: Sequence[float]) -> Furt
             rows.append(FurtherRow(more, unit * likely[0], unit * likely[1]))
         if needed is not None and more > 2 * needed:
             break
-    force = math.exp(float(logs.mean()) + float(norm.ppf(FRACTILE)) * spread)
+    force = math.exp(float(logs.mean()) + float(ndtri(FRACTILE)) * spread)
     now = half_width(n) * spread
     return Further(n, force, spread, now, 0 if now <= WITHIN and n > 2 else needed, tuple(rows))
 
 
 def half_width(n: int) -> float:
     """Half of the 90 % interval of the 5 % fractile of a normal sample, in standard deviations of the sample."""
-    away = -float(norm.ppf(FRACTILE)) * math.sqrt(n)
-    low, high = (float(nct.ppf(q, n - 1, away)) for q in (0.05, 0.95))
+    away = -float(ndtri(FRACTILE)) * math.sqrt(n)
+    low, high = (float(nctdtrit(n - 1, away, q)) for q in (0.05, 0.95))
     return (high - low) / (2.0 * math.sqrt(n))
 
 
@@ -325,7 +325,7 @@ def largest_zero(keys: Iterable[Key], scale_kN: float) -> float:
     Where a constant force is among the rivals, a zero that is off by a size that matters is that constant, as in a
     diagnosis: it has a chance of `ALPHA`. Where it is not, there is no limit.
     """
-    return MIN_EFFECT * scale_kN / float(norm.isf(ALPHA / 2.0)) if any(CONSTANT in key for key in keys) else math.inf
+    return MIN_EFFECT * scale_kN / -float(ndtri(ALPHA / 2.0)) if any(CONSTANT in key for key in keys) else math.inf
 
 
 def entropy_of(probabilities: FloatArray) -> FloatArray:

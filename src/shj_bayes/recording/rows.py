@@ -180,8 +180,12 @@ def is_unit_row(cells: list[str]) -> bool:
     """Whether a row below the names holds units, bare or in brackets.
 
     True where every cell is empty, a dash or a usual unit, or, where units of two of these are among them,
-    anything that may be a unit of another quantity: a file has channels that nobody needs.
+    anything that may be a unit of another quantity: a file has channels that nobody needs. Names of two channels are
+    none, and pint, whose list takes half a second to read, is not asked about them.
     """
+    words = [split_header(cell)[0] for cell in cells if len(cell) >= _SHORTEST_NAME]
+    if len(set[str]().union(*map(roles_named, words))) > 1:
+        return False
     texts = [bare_unit(cell) for cell in cells]
     filled = [text for text in texts if text not in {"", "-", "--"}]
     roles = {text: role_of(text) for text in filled}

@@ -144,8 +144,6 @@ def _physics(folder: Path, record: CampaignRecord) -> dict[str, Any] | None:
     found = table(record.together)
     if found is None:
         return None
-    from shj_bayes.report.campaign import pictures  # noqa: PLC0415  (drawing needs matplotlib)
-
     with_set = {device.folder: device.usable_with_set for _, device in record.devices}
     known = [group for group in record.together if all(place in with_set for place in group.devices)]
     drawn = pictures(folder, known, with_set)

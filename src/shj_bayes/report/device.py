@@ -16,6 +16,7 @@ from shj_bayes.model.parameters import base_of
 from shj_bayes.population.quantities import LEVELS
 from shj_bayes.report import words
 from shj_bayes.report.browse import device_viewer, thinning_words
+from shj_bayes.report.device_pictures import draw
 from shj_bayes.report.force_unit import ForceUnit, force_unit
 from shj_bayes.report.numbers import DeviceFigures, left_over, numbers_of
 from shj_bayes.report.page import LOOPS, PAGE, write_page
@@ -30,9 +31,6 @@ def render_device(folder: Path) -> Path:
 
     `InferenceError` or `ReportError` where the folder holds no readable fit.
     """
-    # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
-    from shj_bayes.report.device_pictures import draw  # noqa: PLC0415
-
     with damage_told(f"fit.json or posterior.nc in {folder.name}", ReportError):
         device = read_device(folder)
         numbers, left = numbers_of(device), left_over(device, folder)

@@ -1,4 +1,4 @@
-"""The pictures of a device page as data URIs; the page says what they show. Importing this imports matplotlib."""
+"""The pictures of a device page as data URIs; the page says what they show."""
 
 from typing import Any
 

@@ -133,9 +133,6 @@ def _shape(data: DiagnosisData) -> dict[str, str] | None:
 
 def render_diagnosis(folder: Path) -> Path:
     """Write ``diagnosis.html`` of a finished diagnosis, one file that needs nothing else; `ReportError` without one."""
-    # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
-    from shj_bayes.report.diagnosis_page import draw  # noqa: PLC0415
-
     data = read_diagnosis(folder)
     try:
         viewer = diagnosis_viewer(data)

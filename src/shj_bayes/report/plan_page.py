@@ -12,6 +12,7 @@ from shj_bayes.planning.information import WHICH
 from shj_bayes.planning.plan import Plan, PlanRecord, WorthOfTest
 from shj_bayes.planning.rivals import ASSURANCE, WITHIN, PretestPosterior, RivalModel, mechanisms_of
 from shj_bayes.report.diagnosis_words import over_words
+from shj_bayes.report.figures import plan as draw
 from shj_bayes.report.page import write_page
 
 
@@ -117,9 +118,6 @@ def set_words(classes: Sequence[str], mechanisms: Sequence[str]) -> str:
 
 def _pictures(plan: Plan) -> dict[str, Any]:
     """Displacement over time, predicted loops of the two leading rivals, and where they differ."""
-    # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
-    from shj_bayes.report.figures import plan as draw  # noqa: PLC0415
-
     if not plan.best:
         return {}
     known, protocol = plan.known[0], plan.best[0]
@@ -145,8 +143,6 @@ def _pictures(plan: Plan) -> dict[str, Any]:
 
 def _devices(record: PlanRecord) -> dict[str, str]:
     """Half width of what is known over the number of further devices."""
-    from shj_bayes.report.figures import plan as draw  # noqa: PLC0415
-
     table = record.further_devices.table if record.further_devices else ()
     keys = ("n_further", "half_width_expected", "half_width_assured")
     n, expected, assured = ([float(getattr(row, key)) for row in table] for key in keys)

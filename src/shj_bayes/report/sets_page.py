@@ -111,9 +111,6 @@ def population_content(
     forces: PopulationResult | None = None,
 ) -> dict[str, Any]:
     """Everything about the sets, plain values and pictures; `forces` are those that the devices made, pooled."""
-    # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
-    from shj_bayes.report.sets_page import draw  # noqa: PLC0415
-
     bands = sets.set_bands(result, intervals)
     amplitude, speed = motion
     if forces is not None and forces.set_names != result.set_names:

@@ -290,17 +290,18 @@ class Channels:
 
 def read_channels(folder: Path) -> Channels:
     """Read ``diagnosis.nc``; `ReportError` where it is missing or damaged."""
-    import xarray as xr  # noqa: PLC0415  (who reads only the words of a diagnosis need not load it)
+    import h5py  # noqa: PLC0415  (who reads only the words of a diagnosis need not load it)
 
     try:
         vet(folder / "diagnosis.nc")
-        with xr.open_dataset(folder / "diagnosis.nc", engine="h5netcdf") as data:
-            channels = Channels(
-                **{name: np.asarray(data[name].to_numpy(), dtype=np.float64) for name in FLOATS},
-                direction=np.sign(data["direction"].to_numpy()).astype(np.int64),
-                run=data["run"].to_numpy().astype(np.int64),
-                used=np.asarray(data["weight"].to_numpy() > 0),
-            )
+        with h5py.File(folder / "diagnosis.nc", "r") as file:
+            data = {name: np.asarray(file[name], dtype=np.float64) for name in (*FLOATS, "direction", "run", "weight")}
+        channels = Channels(
+            **{name: data[name] for name in FLOATS},
+            direction=np.sign(data["direction"]).astype(np.int64),
+            run=data["run"].astype(np.int64),
+            used=data["weight"] > 0,
+        )
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise ReportError(f"diagnosis.nc in {folder.name} cannot be read: {error}; run the diagnosis again") from error
     if not channels.used.any():

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol, TypeVar, get_args, get_type_hints
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar, get_args, get_type_hints
 
 import shj_bayes
 from shj_bayes._util.files import (
@@ -27,6 +27,8 @@ from shj_bayes.results.fit import FitRecord
 DIAGNOSIS = "diagnosis"  # in the folder of a device of a campaign: that of its diagnosis
 FILES = ("posterior.nc", "summary.csv", "summary.json")  # whose digests stand in fit.json
 CHECKPOINT = "checkpoint.h5"  # of a fit that is under way, or has not converged
+CHUNK = 512  # samples that all draws of are compressed together
+COMPRESSED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 SOURCES = ("**/*.py", "**/templates/*", "**/scripts/*")  # of the package
 Said = TypeVar("Said")
 
@@ -111,6 +113,33 @@ def read_arrays(path: Path, kind: type[_Stored], sha256: str | None) -> dict[str
         refuse_packed(path, kind.ERROR)
         with np.load(path, allow_pickle=False) as archive:
             return {key: archive[key] for key in archive.files}
+
+
+class Group(NamedTuple):
+    """One group of a netCDF file, as `xarray.Dataset` takes it: what it holds by name, and words on all of it."""
+
+    arrays: Mapping[str, tuple[tuple[str, ...], Any, dict[str, Any]]]  # names of its dimensions, numbers, words on them
+    words: Mapping[str, Any]
+
+
+def write_netcdf(path: Path, groups: Mapping[str, Group], words: Mapping[str, Any] | None = None) -> None:
+    """Write groups as netCDF, compressed; the group without a name is that at the top.
+
+    Through xarray that took half a second more, and the second of importing it and pandas.
+    """
+    import h5netcdf  # noqa: PLC0415  (as above)
+
+    with h5netcdf.File(path, "w") as file:
+        file.attrs.update(words or {})
+        for name, group in groups.items():
+            place = file.create_group(name) if name else file
+            place.attrs.update(group.words)
+            arrays = group.arrays.values()
+            place.dimensions = {d: n for names, values, _ in arrays for d, n in zip(names, values.shape, strict=True)}
+            for variable, (dimensions, values, own) in group.arrays.items():
+                chunks = (*values.shape[:2], min(CHUNK, values.shape[2])) if values.ndim > 2 else None
+                made = place.create_variable(variable, dimensions, data=values, chunks=chunks, **COMPRESSED)
+                made.attrs.update(own)
 
 
 def check_files(folder: Path, record: FitRecord) -> None:

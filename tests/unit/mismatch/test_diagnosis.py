@@ -315,9 +315,9 @@ def test_candidates_are_all_mechanisms_but_the_speed_of_the_law(prying):
 
 def test_the_channels_are_those_of_the_record(prying):
     record, channels = prying[1].content, prying[1].channels
-    used = channels["weight"].to_numpy() > 0
+    used = channels["weight"] > 0
     for key, model in (("before", "before_kN"), ("after", "after_kN")):
-        left = (channels["force_kN"] - channels[model]).to_numpy()[used]
+        left = (channels["force_kN"] - channels[model])[used]
         assert np.sqrt(np.mean(left**2)) == pytest.approx(record[key]["rmse_kN"], rel=1e-9)
     assert record["after"]["rmse_kN"] < 0.5 * record["before"]["rmse_kN"]
 

@@ -41,6 +41,7 @@ def test_usual_units_are_those_of_pint():
 
 
 HEAVY = "scipy pandas xarray pint numba matplotlib arviz emcee h5py"
+DRAWN = "pandas xarray matplotlib arviz"  # a page is drawn, and a fit is stored, without them
 CASES = {
     "check": ("shj_bayes.recording.runs", HEAVY),
     "finished": ("shj_bayes.app.resume", HEAVY),
@@ -49,7 +50,8 @@ CASES = {
         "shj_bayes.app.campaign",
         "scipy.stats scipy.signal pandas xarray matplotlib arviz emcee pint",
     ),
-    "fit": ("shj_bayes.app.device", "scipy.stats scipy.signal matplotlib arviz pint"),
+    "fit": ("shj_bayes.app.device, shj_bayes.report.device_pictures", f"{DRAWN} scipy.stats scipy.signal pint"),
+    "diagnose": ("shj_bayes.mismatch.diagnosis, shj_bayes.report.diagnosis_page", f"{DRAWN} scipy.stats pint"),
 }
 
 

@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.report.figures.canvas import BLUE, GREY, INK, PALE, RED, WIDE, label, legend, sheet, svg
+from shj_bayes.report.figures.canvas import BLUE, GREY, INK, PALE, RED
 from shj_bayes.report.page import Picture
+from shj_validation.canvas import WIDE, label, legend, sheet, svg
 from shj_validation.proof.answers import Band
 
 HELD_OUT = 1.5  # the aim for 90 % of the trials

@@ -82,7 +82,11 @@ class _Lines:
         """Give the rows, in the signs of typewriters."""
         n_rows = 0
         for line in self.lines:
-            text = line if line[:1].isdigit() else line.lstrip()
+            if line[:1].isdigit() and line.isascii():  # nearly all
+                n_rows += 1
+                yield line
+                continue
+            text = line.lstrip()
             if text and not text.startswith(("#", "%")):
                 n_rows += 1
                 # A minus is a hyphen, whatever a typesetter made of it, and nothing is invisible.

@@ -2,46 +2,39 @@
 
 from collections.abc import Sequence
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.diagnosis_numbers import Map, Profile
 from shj_bayes.report.figures.canvas import (
     BLUE,
     GREY,
-    INK,
     NARROW,
     ORANGE,
     RED,
     WIDE,
-    fixed,
+    Axes,
+    Figure,
     label,
     legend,
-    plain,
     sheet,
+    short_name,
     svg,
-    tidy,
-)  # fmt: skip
+)
 from shj_bayes.report.force_unit import ForceUnit
 from shj_bayes.results.device import BoolArray
 
 BASE, MORE = RED, BLUE  # the base law, the law with what was found
-# White in the middle; red and blue stay apart with every common form of colour blindness. Grey: not visited.
-MAP = mpl.colormaps["RdBu_r"].with_extremes(bad="#D9D9D9")
 
 
 def loop(x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatArray | None, unit: ForceUnit) -> str:
     """One cycle: measured points, base law, and the law with what was found (None where nothing was)."""
-    figure, axes = sheet(NARROW, 3.9, measured=False)
-    axes.plot(x, measured, ".", color=INK, markersize=2.6, alpha=0.75, markeredgewidth=0, rasterized=True)
-    axes.plot([], [], ".", color=INK, markersize=6, label="measured")
-    axes.plot(x, before, color=BASE, linewidth=1.4, linestyle="--" if after is not None else "-", label="base law")
+    figure, axes = sheet(NARROW, 281)
+    axes.plot(x, measured, ".", size=2.6, alpha=0.75)
+    axes.plot([], [], ".", size=6, label="measured")
+    axes.plot(x, before, "-" if after is None else "--", color=BASE, label="base law")
     if after is not None:
-        axes.plot(x, after, color=MORE, linewidth=1.5, label="with what was found")
+        axes.plot(x, after, color=MORE, label="with what was found")
     label(axes, "distance from mid-stroke (mm)", "force (kN)", unit)
     legend(axes, 3)
     return svg(figure)
@@ -49,63 +42,59 @@ def loop(x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatAr
 
 def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float, unit: ForceUnit) -> str:
     """Mean direction-signed residual over one coordinate, panels side by side on the same axes."""
-    figure = fixed(WIDE if len(parts) > 1 else NARROW, 2.9, right=0.75)
-    panels = _panels(figure, len(parts))
+    figure = Figure(WIDE if len(parts) > 1 else NARROW, 209, columns=len(parts), right=54)
     reach = 1.12 * max(_reach(p.push_kN, p.pull_kN) for _, p in parts)
-    for axes, (title, p) in zip(panels, parts, strict=True):
-        axes.axhline(0, color=INK, linewidth=0.8)
-        for mean, colour, marker, name in ((p.push_kN, BLUE, "o", "push"), (p.pull_kN, RED, "s", "pull")):
+    for axes, (title, p) in zip(figure.axes, parts, strict=True):
+        axes.across(0)
+        for mean, colour, style, name in ((p.push_kN, BLUE, "o-", "push"), (p.pull_kN, RED, "s-", "pull")):
             seen = np.isfinite(mean)
-            axes.plot(p.centre[seen], mean[seen], marker + "-", color=colour, markersize=3.8, linewidth=1.2, label=name)
-        axes.set_ylim(-reach, reach)
-        axes.set_title(title, fontsize=10, loc="right", color=INK)
-        label(axes, axis, "left over (kN)" if axes is panels[0] else "", unit)
+            axes.plot(p.centre[seen], mean[seen], style, color=colour, size=3.8, linewidth=1.2, label=name)
+        axes.y_range, axes.title = (-reach, reach), title
+        label(axes, axis, "left over (kN)", unit)
         legend(axes, 2)
-    share = panels[-1].twinx()
-    share.set_ylim(-100 * reach / capacity_kN, 100 * reach / capacity_kN)
-    share.spines[["top", "left"]].set_visible(False)
-    share.set_ylabel("% of Fy", fontsize=10.5, color=INK)
-    share.tick_params(labelsize=9.5, colors=INK)
+    _side_by_side(figure.axes)
+    figure.axes[-1].right = (100 / capacity_kN, "% of Fy")
     return svg(figure)
 
 
 def maps(parts: Sequence[tuple[str, Map]], unit: ForceUnit) -> str:
     """Mean direction-signed residual over position and travel; push and pull of each part, one colour scale."""
-    figure = Figure(figsize=(WIDE, 3.6), layout="constrained")
-    panels = _panels(figure, 2 * len(parts))
-    sides = np.concatenate([side for _, m in parts for side in (m.push_kN, m.pull_kN)], axis=None)
-    reach = unit.factor * float(np.nanquantile(np.abs(sides), 0.99)) or 1.0
-    scale, image = Normalize(-reach, reach), None
-    for k, (title, m) in enumerate(parts):
-        for j, (values, name) in enumerate(((m.push_kN, "push"), (m.pull_kN, "pull"))):
-            axes = panels[2 * k + j]
-            axes.grid(visible=False)
-            shown = np.ma.masked_invalid(unit.factor * values)
-            image = axes.pcolormesh(m.position_mm, m.travel_m, shown, cmap=MAP, norm=scale, rasterized=True)
-            axes.set_title(f"{title}, {name}" if title else name, fontsize=10, color=INK)
-            axes.set_xlabel("position (mm)", fontsize=10, color=INK)
-    panels[0].set_ylabel("travel (m)", fontsize=10.5, color=INK)
-    if image is not None:
-        bar = figure.colorbar(image, ax=panels, aspect=28, pad=0.01, extend="both")
-        bar.set_label(f"left over ({unit.name})", fontsize=10, color=INK)
-        bar.ax.tick_params(labelsize=9)
+    figure = Figure(WIDE, 259, columns=2 * len(parts), top=22, right=90)
+    sides = [
+        (title, m, side, values) for title, m in parts for side, values in (("push", m.push_kN), ("pull", m.pull_kN))
+    ]
+    reach = float(np.nanquantile(np.abs(np.concatenate([values for *_, values in sides], axis=None)), 0.99)) or 1.0
+    for axes, (title, m, side, values) in zip(figure.axes, sides, strict=True):
+        axes.mesh(m.position_mm, m.travel_m, values, reach)
+        axes.x_range, axes.y_range = (m.position_mm[0], m.position_mm[-1]), (m.travel_m[0], m.travel_m[-1])
+        axes.title, axes.grid = f"{title}, {side}" if title else side, False
+        label(axes, "position (mm)", "travel (m)")
+    _side_by_side(figure.axes)
+    last = figure.axes[-1]
+    bar = Axes(last.left + last.width + 14, last.top, 12, last.height)
+    steps = np.linspace(-reach, reach, 65)
+    bar.mesh(np.array([0.0, 1.0]), steps, 0.5 * (steps[1:] + steps[:-1])[:, None], reach)
+    bar.x_range, bar.y_range, bar.x_numbers, bar.grid = (0.0, 1.0), (-reach, reach), 0, False
+    bar.rows, bar.right = ("",), (unit.factor, f"left over ({unit.name})")
+    figure.axes.append(bar)
     return svg(figure)
 
 
 def energy(number: FloatArray, measured_J: FloatArray, before_J: FloatArray, after_J: FloatArray | None) -> str:
     """Energy of each cycle, and below it the error of the models."""
-    figure = fixed(WIDE, 4.6, left=0.95)
-    top, low = (tidy(axes) for axes in figure.subplots(2, 1, sharex=True, height_ratios=(3, 2)))
+    figure = Figure(WIDE, 331, (3, 2), left=68)
+    top, low = figure.axes
     unit, factor = ("kJ", 1e-3) if np.nanmax(np.abs(measured_J)) >= 1000 else ("J", 1.0)
-    top.plot(number, factor * measured_J, "o", color=INK, markersize=5.5, markerfacecolor="none", label="measured")
+    top.plot(number, factor * measured_J, "o", size=5.5, hollow=True, label="measured")
     models = [(before_J, BASE, "x", "base law")]
     models += [(after_J, MORE, "+", "with what was found")] if after_J is not None else []
     with np.errstate(divide="ignore", invalid="ignore"):
         for values, colour, marker, name in models:
-            top.plot(number, factor * values, marker, color=colour, markersize=6, label=name)
-            low.plot(number, 100 * (values / measured_J - 1), marker + "-", color=colour, markersize=5, linewidth=0.9)
-    top.set_ylim(bottom=0)
-    low.axhline(0, color=INK, linewidth=0.8)
+            top.plot(number, factor * values, marker, color=colour, size=6, label=name)
+            low.plot(number, 100 * (values / measured_J - 1), f"{marker}-", color=colour, size=5, linewidth=0.9)
+    top.from_zero()
+    top.x_numbers = 0
+    low.across(0)
     label(top, "", f"energy ({unit})")
     label(
         low,
@@ -123,31 +112,36 @@ def curve(
 
     Dotted and without the band where it is not `known`, shape (n,); known everywhere by default.
     """
-    figure, axes = sheet(WIDE, 3.4, measured=False)
-    axes.axhline(0, color=INK, linewidth=0.8)
+    figure, axes = sheet(WIDE, 245)
+    axes.across(0)
     there = np.ones(at.size, dtype=np.bool_) if known is None else known
-    axes.fill_between(at, low, high, where=there, color=BLUE, alpha=0.22, linewidth=0, label="90 % band")
+    for piece in np.split(np.arange(at.size), np.flatnonzero(np.diff(there)) + 1):
+        if there[piece].all():
+            axes.fill(at[piece], low[piece], high[piece], color=BLUE, alpha=0.22)
+    axes.fill([], [], [], color=BLUE, alpha=0.22, label="90 % band")
     axes.plot(at, np.where(there, mean, np.nan), color=BLUE, linewidth=1.8, label="curve found")
     if not there.all():
-        axes.plot(at, mean, color=BLUE, linewidth=1.0, linestyle=":", label="in between, not measured")
-    label(axes, plain(axis), "change (% of Fy)")
+        axes.plot(at, mean, ":", color=BLUE, linewidth=1.0, label="in between, not measured")
+    label(axes, short_name(axis), "change (% of Fy)")
     legend(axes, 3)
     return svg(figure)
 
 
 def shape(x: FloatArray, columns: Sequence[tuple[str, FloatArray]], axis: str, unit: ForceUnit) -> str:
     """Shape of what no effect explains."""
-    figure, axes = sheet(WIDE, 2.9, measured=False)
-    axes.axhline(0, color=INK, linewidth=0.8)
+    figure, axes = sheet(WIDE, 209)
+    axes.across(0)
     for (name, values), colour, marker in zip(columns, (BLUE, RED, ORANGE, GREY), "os^D", strict=False):
-        axes.plot(x, values, marker + "-", color=colour, markersize=4, linewidth=1.2, label=plain(name))
-    label(axes, plain(axis), "left over (kN)", unit)
+        axes.plot(x, values, f"{marker}-", color=colour, size=4, linewidth=1.2, label=short_name(name))
+    label(axes, short_name(axis), "left over (kN)", unit)
     legend(axes, 4)
     return svg(figure)
 
 
-def _panels(figure: Figure, n: int) -> list[Axes]:
-    return [tidy(axes) for axes in figure.subplots(1, n, sharey=True, squeeze=False, gridspec_kw={"wspace": 0.14})[0]]
+def _side_by_side(panels: Sequence[Axes]) -> None:
+    """Numbers and title along y at the first of panels on the same scale alone."""
+    for axes in panels[1:]:
+        axes.y_title, axes.rows = "", ("",)
 
 
 def _reach(*values: FloatArray) -> float:

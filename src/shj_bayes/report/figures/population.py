@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.model.coordinates import coordinate_named
@@ -15,16 +14,18 @@ from shj_bayes.report.figures.canvas import (
     BLUE,
     GREY,
     INK,
+    LETTER,
     NARROW,
     ORANGE,
     SERIES,
     WIDE,
+    Figure,
+    alike,
     label,
     legend,
-    plain,
     sheet,
+    short_name,
     svg,
-    tidy,
 )
 from shj_bayes.report.sets import SetBand
 
@@ -36,33 +37,33 @@ CROWD = 24  # devices of a set beyond which their dots would hide the band; they
 def bands(rows: Sequence[SetBand], title: str) -> str:
     """Draw tested devices, and the band of a new one, in one quantity of every set, below one another."""
     crowded = max((len(row.devices) for row in rows), default=0) > CROWD
-    figure, axes = sheet(WIDE, 0.9 + (0.56 if crowded else 0.36) * len(rows))
+    names = [f"{short_name(row.name, MAX_NAME)} ({row.n_devices})" for row in rows]
+    room = 9 * LETTER * max(map(len, names), default=0) + 14
+    figure, axes = sheet(WIDE, 65 + (40 if crowded else 26) * len(rows), left=room)
     left, right = span(rows)
     for place, row in enumerate(rows):
         y = place - 0.24 * crowded
         low, middle, high = row.band
-        axes.plot(row.widest, (y, y), color=GREY, linewidth=1.4, solid_capstyle="butt")
-        axes.plot((low, high), (y, y), color=BLUE, linewidth=8, alpha=0.45, solid_capstyle="butt")
+        axes.plot(row.widest, (y, y), color=GREY, linewidth=1.4)
+        axes.plot((low, high), (y, y), color=BLUE, linewidth=8, alpha=0.45)
         axes.plot((middle, middle), (y - 0.22, y + 0.22), color=BLUE, linewidth=2)
         for edge, beyond, marker in ((left, row.widest[0] < left, "<"), (right, row.widest[1] > right, ">")):
             if beyond:
-                axes.plot(edge, y, marker, color=GREY, markersize=6, clip_on=False)
+                axes.plot(edge, y, marker, color=GREY, size=6)
         if crowded:
             lane = place + 0.4 * (np.arange(len(row.devices)) * 0.618 % 1.0)  # even, and the same every time
             middles = [d_middle for _, (_, d_middle, _) in row.devices]
-            axes.plot(middles, lane, "o", color=INK, markersize=3, alpha=0.4, markeredgewidth=0)
+            axes.plot(middles, lane, "o", color=INK, size=3, alpha=0.4)
             continue
         for k, (_, (d_low, d_middle, d_high)) in enumerate(row.devices):
             at = y + (0.09 if k % 2 else -0.09) * (len(row.devices) > 1)
             axes.plot((d_low, d_high), (at, at), color=INK, linewidth=1)
-            axes.plot(d_middle, at, "o", color=INK, markersize=4)
-    axes.set_xlim(left, right)
-    axes.plot([], [], "o" if crowded else "o-", color=INK, markersize=4, linewidth=1, label="tested device")
+            axes.plot(d_middle, at, "o", color=INK, size=4)
+    axes.x_range = (left, right)
+    axes.plot([], [], "o" if crowded else "o-", color=INK, size=4, linewidth=1, label="tested device")
     axes.plot([], [], color=BLUE, linewidth=8, alpha=0.45, label="new device, 90 %")
     axes.plot([], [], color=GREY, linewidth=1.4, label="under other assumptions on the spread")
-    names = [f"{plain(row.name, MAX_NAME)} ({row.n_devices})" for row in rows]
-    axes.set_yticks(np.arange(len(rows)), names, fontsize=9)
-    axes.set_ylim(len(rows) - 0.5, -0.5)
+    axes.rows, axes.y_range = names, (len(rows) - 0.5, -0.5)
     label(axes, title, "")
     legend(axes, 3)
     return svg(figure)
@@ -70,13 +71,13 @@ def bands(rows: Sequence[SetBand], title: str) -> str:
 
 def apart(curve: CurveContrast) -> str:
     """Draw how far the force of two sets differs along a coordinate, per cent, with the 90 % band at each value."""
-    figure, axes = sheet(NARROW, 2.8, measured=False)
+    figure, axes = sheet(NARROW, 202)
     places = sorted([(curve.reference, (0.0, 0.0, 0.0)), *zip(curve.at, curve.percent, strict=True)])
     at = [u for u, _ in places]
     low, middle, high = zip(*(band for _, band in places), strict=True)
-    axes.fill_between(at, low, high, color=BLUE, alpha=0.25, linewidth=0)
-    axes.plot(at, middle, "o-", color=BLUE, markersize=4, linewidth=1.4)
-    axes.axhline(0, color=INK, linewidth=0.8)
+    axes.fill(at, low, high, color=BLUE, alpha=0.25)
+    axes.plot(at, middle, "o-", color=BLUE, size=4, linewidth=1.4)
+    axes.across(0)
     unit = "" if curve.unit == "1" else f" ({curve.unit})"
     label(axes, f"{coordinate_named(curve.coordinate).title.removeprefix('the ')}{unit}", "difference (% of the force)")
     return svg(figure)
@@ -94,11 +95,11 @@ def span(rows: Sequence[SetBand]) -> tuple[float, float]:
 
 def loop(parts: Sequence[LoopBand]) -> str:
     """Band of the loop of a new device of one set, one colour for each run, and each law of what was not tested."""
-    figure, axes = sheet(NARROW, 3.4, measured=False)
+    figure, axes = sheet(NARROW, 245)
     for band, colour in zip(parts, SERIES, strict=False):
         which = "median and 90 %" if band.law == "tested" else band.law
         for force in (band.push, band.pull):
-            axes.fill_between(band.displacement_mm, force[0], force[2], color=colour, alpha=0.25, linewidth=0)
+            axes.fill(band.displacement_mm, force[0], force[2], color=colour, alpha=0.25)
             axes.plot(band.displacement_mm, force[1], color=colour, linewidth=1.4)
         axes.plot([], [], color=colour, label=f"run {band.run}, {which}")
     label(axes, "displacement (mm)", "force (kN)")
@@ -121,22 +122,22 @@ def curves(parts: Sequence[tuple[str, Sequence[DeviceCurve]]], axis: str) -> str
     """Draw the curves of the devices of each set with 90 % bands, per cent of Fy; the same scale in all panels."""
     columns = min(MAX_COLUMNS, len(parts))
     rows = math.ceil(len(parts) / columns)
-    figure = Figure(figsize=(WIDE, 3.1 * rows), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
-    for axes in panels[len(parts) :]:
-        axes.set_visible(False)
+    figure = Figure(WIDE, 223 * rows, [1] * rows, columns, gap=(14, 24), top=22)
+    figure.axes = figure.axes[: len(parts)]
     words = {True: (BLUE, "-", "shown alone"), False: (ORANGE, "--", "certain by the set")}
-    for axes, (name, bands) in zip(panels, parts, strict=False):
-        tidy(axes)
-        axes.axhline(0, color=INK, linewidth=0.8)
+    for place, (axes, (name, bands)) in enumerate(zip(figure.axes, parts, strict=True)):
+        axes.across(0)
         seen: set[bool] = set()
         for band in bands:
             colour, style, said = words[band.alone]
-            axes.fill_between(band.at, band.low, band.high, color=colour, alpha=0.12, linewidth=0)
-            once = "" if band.alone in seen else said
-            axes.plot(band.at, band.mean, style, color=colour, linewidth=1.4, label=once or None)
+            axes.fill(band.at, band.low, band.high, color=colour, alpha=0.12)
+            axes.plot(band.at, band.mean, style, color=colour, label="" if band.alone in seen else said)
             seen.add(band.alone)
-        axes.set_title(f"{name[:40]}", fontsize=10, loc="right", color=INK, parse_math=False)
-        label(axes, axis, "change (% of Fy)" if axes in panels[::columns] else "")
+        axes.title = name[:40]
+        label(axes, axis if place >= len(parts) - columns else "", "" if place % columns else "change (% of Fy)")
         legend(axes, 1)
+    alike(figure.axes, x=True, y=True)
+    for place, axes in enumerate(figure.axes):
+        axes.rows = ("",) if place % columns else ()
+        axes.x_numbers = None if place >= len(parts) - columns else 0
     return svg(figure)
