@@ -15,7 +15,6 @@ from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
 from shj_bayes.model.parameters import base_and_run
 from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.population import hierarchy
 from shj_bayes.recording.motion import Block, exact_motion
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
@@ -115,18 +114,6 @@ def truth() -> Truth:
 def as_vector() -> Callable[..., np.ndarray]:
     """Truth as a parameter set of a posterior, shape (1, d)."""
     return vector_of
-
-
-@pytest.fixture(scope="module")
-def short_populations() -> Iterator[None]:
-    """Sample populations with a tenth of the sweeps and never longer, where tests are about something else."""
-    short = hierarchy.Sweeps(75, 150, 1)
-    with pytest.MonkeyPatch.context() as patch:
-        for sweeps in ("_FULL", "_SHORT"):
-            patch.setattr(hierarchy, sweeps, short)
-        patch.setattr(hierarchy, "_brief", lambda n_sets: short)
-        patch.setattr(hierarchy, "LONGER", 1)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -79,7 +79,7 @@ def commands() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory: pytest.TempPathFactory, short_populations: None, no_workers: None) -> Iterator[Path]:
+def desk(tmp_path_factory: pytest.TempPathFactory, no_workers: None) -> Iterator[Path]:
     """A folder with the files that the documents speak of; chains are cut short."""
     folder = tmp_path_factory.mktemp("desk")
     for number, stem in enumerate(("run", "plain-run"), start=3):

@@ -25,7 +25,7 @@ def population(names: tuple[str, ...], seed: int = 1, shift: float = 0.0) -> Pop
             mu = level + scale * (0.05 * rng.standard_normal((400, len(names))) + shift * np.arange(len(names)))
             tau = np.full((400, len(names)), scale * spread)
             hyper = np.tile([level, scale * 0.2, scale * spread, 0.1], (400, 1))
-            out[name] = QuantityPosterior(name, mu, tau, hyper, (2,) * len(names), 1.0, 900.0, 4)
+            out[name] = QuantityPosterior(name, mu, tau, hyper, (2,) * len(names))
         return out
 
     def points(k: int) -> dict[str, tuple[float, ...]]:

@@ -120,7 +120,7 @@ def campaign_of(folder, place):
 
 
 @pytest.fixture(scope="module")
-def pooled(tmp_path_factory, short_populations):
+def pooled(tmp_path_factory):
     """A folder with a fitted population and without a campaign."""
     folder = tmp_path_factory.mktemp("pooled")
     write_population(fit_population(published_devices()[:4], seed=1), folder)

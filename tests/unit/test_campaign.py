@@ -23,7 +23,6 @@ from shj_bayes.recording.recording import write_csv
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 HEAD = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 60\n'
-pytestmark = pytest.mark.usefixtures("short_populations")
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from shj_bayes.errors import ModelError, RecordingError, ReportError
 from shj_bayes.model.simulate import Truth
 
 SHORT = {"max_steps": 60, "threads": 1}
-pytestmark = pytest.mark.usefixtures("short_populations", "no_workers")
+pytestmark = pytest.mark.usefixtures("no_workers")
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from shj_bayes.inference.posterior import n_threads
 from shj_bayes.margins.specimen import Specimen
 from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named
@@ -20,11 +19,11 @@ from shj_bayes.model.effects.effect import Effect, combine
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.population.compare import ROPE_SPEED, Stratum, members, shift_of, strata_of
 from shj_bayes.population.hierarchy import (
+    FEWER_DRAWS,
     MAIN_PRIOR,
     DeviceSet,
     PopulationResult,
     QuantityPosterior,
-    Sweeps,
     fit_quantity,
 )
 from shj_bayes.population.predict import correlation_draws
@@ -48,7 +47,6 @@ ENDS = (0.005, 0.995)
 LEAST_ERROR = 1e-3
 """Least standard deviation of a logarithm with which a factor is taken to be known."""
 LEAST_FACTOR = 1e-3
-SWEEPS = Sweeps(300, 1000)
 
 
 @dataclass(frozen=True)
@@ -195,7 +193,7 @@ def pool(logs: Mapping[tuple[str, str], FloatArray], result: PopulationResult, w
                 for of, devices in groups.items()
             ]
             seed = stream(result.seed, "curve", word, name, label)
-            out[name] = fit_quantity(name, data, own, seed, SWEEPS, workers=n_threads(0))
+            out[name] = fit_quantity(name, data, own, seed, FEWER_DRAWS)
         return out
 
     def kept(group: DeviceSet) -> DeviceSet:

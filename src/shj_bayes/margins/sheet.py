@@ -347,8 +347,6 @@ def _warnings(
             "speed dependence and a loss of friction away from mid-stroke cannot be told apart; gamma may "
             "be either."
         )
-    if not result.converged:
-        yield "The calculation of the population has not finished: take these margins as a first look."
     if request.sets:
         yield (
             "Drawn up for what --set names alone. How much devices of a set differ is learnt from all sets that were "

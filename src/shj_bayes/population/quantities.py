@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,6 +23,11 @@ def band_of(values: FloatArray) -> Band:
     """5, 50 and 95 % of draws."""
     low, middle, high = (float(x) for x in np.quantile(values, LEVELS))
     return low, middle, high
+
+
+def spaced(n: int, rng: np.random.Generator) -> FloatArray:
+    """Draw numbers between 0 and 1, one in each n-th part, in any order (of several: a Latin hypercube)."""
+    return np.asarray((rng.permutation(n) + rng.random(n)) / n)
 
 
 def stream(seed: int, *labels: str) -> np.random.SeedSequence:
@@ -133,11 +137,6 @@ class PopulationPrior:
         if not (np.isfinite([self.centre, *scales]).all() and min(scales) > 0 and self.spread_log_sd >= 0):
             raise PopulationError(f"every scale of a population prior must be finite and above zero; got {self}")
 
-    def packed(self) -> FloatArray:
-        """Numbers in the order the sampler reads them."""
-        level = (self.centre, self.centre_sd, self.between_scale)
-        return np.array([*level, np.log(self.spread_median), self.spread_log_sd, self.unequal_scale])
-
 
 _SPREAD = (
     "spread of one set: median 0.2 of the value (FEMA P-695 rates the dispersion of test data from 0.10, superior, to "
@@ -211,8 +210,6 @@ BANDWIDTH = 0.3
 """Kernel width of those components, in standard deviations; centres shrink so that the variance is kept."""
 FEWEST_EFFECTIVE = 25.0
 """Below this effective number of importance draws a device's posterior says too little about its likelihood."""
-MANY_DEVICES, NARROW = 30, 0.15
-"""Devices of a set from which on its spread is well known, and the part of that spread that counts as narrow."""
 
 
 @dataclass(frozen=True)
@@ -245,24 +242,6 @@ class Likelihood:
         mass = mass / mass.sum()
         mean = float(np.sum(mass * centre))
         return mean, float(np.sqrt(np.sum(mass * (variance + (centre - mean) ** 2))))
-
-
-def gathered(group: Sequence[Likelihood]) -> tuple[FloatArray, list[Likelihood]]:
-    """Narrow devices of a large set as one lot, whose likelihood needs no sum over devices; the others as they are.
-
-    Beside a spread of the set that is many times as wide, and that many devices fix, nothing of their shape is felt,
-    nor how their errors differ (`tests` hold both likelihoods side by side). Normal devices with one error enter by
-    their number (0 for a small set), mean, variance of one, and sum of squares about the mean alone.
-    """
-    if len(group) < MANY_DEVICES:
-        return np.zeros(4), list(group)
-    centre, sd = np.array([likelihood.centre_and_sd for likelihood in group]).T
-    narrow = sd < NARROW * float(np.std(centre, ddof=1))
-    if not narrow.any():
-        return np.zeros(4), list(group)
-    own = centre[narrow]
-    lot = (own.size, own.mean(), np.mean(sd[narrow] ** 2), np.sum((own - own.mean()) ** 2))
-    return np.array(lot), [likelihood for likelihood, one in zip(group, narrow, strict=True) if not one]
 
 
 @dataclass(frozen=True)

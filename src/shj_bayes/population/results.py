@@ -47,15 +47,11 @@ class SetRecord:
 
 @dataclass(frozen=True, kw_only=True)
 class QuantityRecord:
-    """How a quantity was sampled."""
+    """What a quantity rests on."""
 
     quantity: str
-    r_hat: float | None
-    ess: float | None
-    chains: int
     draws: int
     importance_draws: float | None
-    converged: bool
     prior: str
 
 
@@ -83,7 +79,6 @@ class PopulationRecord:
     version: str
     seed: int
     tested: RangeTested | None = None
-    converged: bool
     sets: tuple[SetRecord, ...]
     quantities: tuple[QuantityRecord, ...]
     priors: Mapping[str, PopulationPrior]
@@ -109,7 +104,6 @@ def record_of(result: PopulationResult) -> PopulationRecord:
         version=shj_bayes.__version__,
         seed=result.seed,
         tested=result.tested,
-        converged=result.converged,
         sets=tuple(
             SetRecord(
                 name=group.name,
@@ -128,12 +122,8 @@ def record_of(result: PopulationResult) -> PopulationRecord:
         quantities=tuple(
             QuantityRecord(
                 quantity=name,
-                r_hat=_finite(fit.r_hat),
-                ess=_finite(fit.ess),
-                chains=fit.n_chains,
                 draws=fit.mu.shape[0],
                 importance_draws=_finite(result.importance_draws[name]),
-                converged=fit.converged,
                 prior=result.priors[name].source,
             )
             for name, fit in result.posteriors.items()
@@ -155,7 +145,6 @@ def write_population(result: PopulationResult, folder: Path) -> None:
             key = f"{label}/{name}"
             arrays |= {f"{key}/mu": fit.mu, f"{key}/tau": fit.tau, f"{key}/hyper": fit.hyper}
             arrays[f"{key}/n_devices"] = np.array(fit.n_devices)
-            arrays[f"{key}/diagnostics"] = np.array([fit.r_hat, fit.ess, fit.n_chains])
     written = write_arrays(arrays, folder / _DRAWS)
     write(replace(record_of(result), draws_sha256=written), folder, ascii_only=False)
 
@@ -175,13 +164,8 @@ def _from_record(record: PopulationRecord, arrays: dict[str, FloatArray]) -> Pop
         label, name, part = key.split("/")
         if part != "mu":
             continue
-        mu, tau, hyper, n, diagnostics = (
-            arrays[f"{label}/{name}/{p}"] for p in ("mu", "tau", "hyper", "n_devices", "diagnostics")
-        )
-        r_hat, ess, n_chains = diagnostics.tolist()
-        fits.setdefault(label, {})[name] = QuantityPosterior(
-            name, mu, tau, hyper, tuple(n.tolist()), r_hat, ess, int(n_chains)
-        )
+        mu, tau, hyper, n = (arrays[f"{label}/{name}/{p}"] for p in ("mu", "tau", "hyper", "n_devices"))
+        fits.setdefault(label, {})[name] = QuantityPosterior(name, mu, tau, hyper, tuple(n.tolist()))
 
     def number(value: float | None, missing: float) -> float:
         return missing if value is None else float(value)

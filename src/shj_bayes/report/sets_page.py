@@ -130,9 +130,7 @@ def population_content(
         "compared": [{"name": q, "meaning": sets.MEANING[q]} for q in names],
         "contrasts": [_contrast(a, b, forces, result) for a, b in sets.pairs(result)],
         "priors": [
-            {"name": name, "source": prior.source, "r_hat": f"{fit.r_hat:.3f}", "ess": f"{fit.ess:.0f}"}
-            for name, prior in result.priors.items()
-            if (fit := result.posteriors.get(name)) is not None
+            {"name": name, "source": prior.source} for name, prior in result.priors.items() if name in result.posteriors
         ],
         "result": result,
     }

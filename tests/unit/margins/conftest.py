@@ -7,7 +7,7 @@ from shj_bayes.margins.sheet import pool
 from shj_bayes.margins.specimen import specimens_of_table
 from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.population.device import PUBLISHED, Tags
-from shj_bayes.population.hierarchy import Sweeps, fit_population
+from shj_bayes.population.hierarchy import fit_population
 
 ZINC = Tags("zinc", 70.0, material="Bisalloy 500")
 RUSTY = Tags("zinc", 70.0, corroded=True, material="Bisalloy 500")
@@ -39,12 +39,3 @@ def trials(population):
 @pytest.fixture(scope="session")
 def design(trials, population):
     return pool(trials, population)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _fewer_draws():
-    """Sheets are made many times here; what is asked of them does not hang on the number of draws."""
-    patch = pytest.MonkeyPatch()
-    patch.setattr("shj_bayes.population.hierarchy._brief", lambda n_sets: Sweeps(60, 150, 1))
-    yield
-    patch.undo()

@@ -33,7 +33,7 @@ def known_population(levels, spreads, tags, points, seed=5, n=4000):
     mu = np.log(levels) + 0.02 * rng.standard_normal((n, len(levels)))
     tau = np.tile(np.array(spreads, dtype=float), (n, 1))
     hyper = np.tile([4.0, 0.3, 0.1, 0.5], (n, 1))
-    fit = QuantityPosterior("Fy", mu, tau, hyper, tuple(len(p) for p in points), 1.0, 4000.0, 4)
+    fit = QuantityPosterior("Fy", mu, tau, hyper, tuple(len(p) for p in points))
     sets = tuple(
         DeviceSet(f"s{i}", tuple(str(k) for k in range(len(p))), t, {"Fy": tuple(np.log(p))})
         for i, (t, p) in enumerate(zip(tags, points, strict=True))
@@ -195,7 +195,7 @@ def correlated_population(rho, n_sets=40, seed=8):
     def fit(name, level):
         mu, tau = np.full((n, n_sets), level), np.full((n, n_sets), 0.2)
         hyper = np.tile([level, 0.1, 0.2, 0.1], (n, 1))
-        return QuantityPosterior(name, mu, tau, hyper, (3,) * n_sets, 1.0, 4000.0, 4)
+        return QuantityPosterior(name, mu, tau, hyper, (3,) * n_sets)
 
     return PopulationResult(sets, {"Fy": fit("Fy", 4.4), "ratio": fit("ratio", -0.3)}, {}, {}, {}, 3)
 

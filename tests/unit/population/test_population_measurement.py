@@ -4,13 +4,8 @@ from scipy import integrate, stats
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import DeviceEstimate, Tags, sets_of
-from shj_bayes.population.hierarchy import _pack
-from shj_bayes.population.kernel import log_likelihood_of_set
-from shj_bayes.population.quantities import Likelihood, Rounded, gathered, of_draws, ratio_of
-
-
-def log_likelihood(mu, log_tau, data):
-    return log_likelihood_of_set(0, mu, log_tau, *data)
+from shj_bayes.population.grid import log_likelihood
+from shj_bayes.population.quantities import Likelihood, Rounded, of_draws, ratio_of
 
 
 def test_dep_of_30_stands_for_15_to_45():
@@ -38,7 +33,8 @@ def test_rounded_value_is_integrated_exactly(mu, tau):
     if low <= mu:
         ends = [stats.norm.logcdf(high, mu, tau), stats.norm.logcdf(low, mu, tau)]
     exact = ends[0] + np.log1p(-np.exp(ends[1] - ends[0]))
-    assert log_likelihood(mu, np.log(tau), _pack([[likelihood]])) == pytest.approx(exact, rel=1e-6)
+    found = log_likelihood([likelihood], np.array([mu]), np.log([tau]))
+    assert found.item() == pytest.approx(exact, rel=1e-6)
 
 
 def test_ratio_of_rounded_values_has_the_right_density(rng):
@@ -108,28 +104,6 @@ def test_sets_refuse_double_names_and_mixed_tags():
     other = DeviceEstimate("b", "s", {"Fy": Rounded(80, 75, 85).of("Fy")}, Tags(corroded=True))
     with pytest.raises(PopulationError, match="not its tags"):
         sets_of([one, other])
-
-
-def test_a_large_set_of_narrow_devices_needs_no_shapes() -> None:
-    """Number, mean and sum of squares of narrow devices: the same likelihood of level and spread as one by one."""
-    rng = np.random.default_rng(3)
-    values = np.exp(rng.normal(4.4, 0.2, 60))
-    draws = [v * (1 + 0.011 * (rng.gamma(2.0, 1.0, 4000) - 2.0)) for v in values]  # skewed, 1.6 % wide
-    group = [of_draws("Fy", d, np.zeros(d.size)).likelihood for d in draws]
-    lot, rest = gathered(group)
-    assert lot[0] == 60
-    assert not rest
-    for mu in (4.32, 4.4, 4.48):
-        for tau in (0.16, 0.2, 0.25):
-            one_by_one = sum(log_likelihood(mu, np.log(tau), _pack([[x]])) for x in group)
-            assert log_likelihood(mu, np.log(tau), _pack([group])) == pytest.approx(one_by_one, abs=0.03)
-    assert gathered(group[:29])[1] == group[:29]
-    wide = of_draws("Fy", 80.0 * np.exp(0.3 * rng.standard_normal(4000)), np.zeros(4000)).likelihood
-    lot, rest = gathered([*group, wide])
-    assert (lot[0], rest) == (60, [wide])
-    both = log_likelihood(4.4, np.log(0.2), _pack([[*group, wide]]))
-    alone = log_likelihood(4.4, np.log(0.2), _pack([[wide]]))
-    assert both - alone == pytest.approx(log_likelihood(4.4, np.log(0.2), _pack([group])), abs=1e-9)
 
 
 def test_a_posterior_that_is_refused_names_its_device() -> None:
