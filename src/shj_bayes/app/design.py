@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import pandas as pd
 
 from shj_bayes._util.files import need_population, shipped, write_text
 from shj_bayes.app.campaign import WRITES, Outcome
-from shj_bayes.app.resume import POPULATION, design_margins
+from shj_bayes.app.resume import POPULATION, campaign_inputs, design_margins
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.curves import CurveContrast, compare_curves
@@ -27,10 +27,10 @@ from shj_bayes.margins.export import (
     tcl_script,
     write_loops,
 )
-from shj_bayes.margins.files import CHOSEN, design_table, write_margins, write_workbook
-from shj_bayes.margins.files import to_json as sheet_record
-from shj_bayes.margins.history import LEEWAY, left_out_words, loading_history
-from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
+from shj_bayes.margins.files import CHOSEN, Tests, design_table, kept_pool, write_margins, write_workbook
+from shj_bayes.margins.history import LEEWAY, LoadingHistory, left_out_words, loading_history
+from shj_bayes.margins.row import BANDS, SPREAD, TESTING, TOLERANCE
+from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins
 from shj_bayes.margins.specimen import (
     Specimen,
     find_diagnosis,
@@ -43,9 +43,9 @@ from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.options import MarginOptions
 from shj_bayes.population.compare import ROPE, Contrast, compare, members, row_of, strata_of
 from shj_bayes.population.device import PUBLISHED, Claim, common, device_from_fit, published_devices, tested_by_fit
-from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, fit_population
+from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, QuantityPosterior, fit_population
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
-from shj_bayes.population.results import load_population, record_of, safe_cell, write_population
+from shj_bayes.population.results import PopulationRecord, load_population, record_of, safe_cell, write_population
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_page import NOMINAL, band_words, extrapolated_words, holds_words, render_margins, told
@@ -88,7 +88,7 @@ def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progr
     design = design_margins(folder, progress=progress)
     curves, forces = compared_pairs(folder, population)
     render_campaign(folder, population, curves, forces, design.record)
-    record = {"population": to_json(record_of(population)), "margins": design.record, "curves": curve_records(curves)}
+    record = {**machine_record(population, design.record), "curves": curve_records(curves)}
     return {"record": record, "lines": [band_text(population), "", design.text]}
 
 
@@ -102,14 +102,17 @@ def pooled_tables(claims: Sequence[Claim], folder: Path, *, seed: int, progress:
     made(folder, "population", [seed, digests(shipped("data", "published"), ["*"])], POPULATION, pool)
     population = load_population(folder)
     design = design_margins(folder, progress=progress)
-    render_tables(folder, population, claims, pooled_forces(population, specimens_of_table(population)))
+    render_tables(folder, population, claims, pooled_forces(folder, population, specimens_of_table(population)))
     answers = [f"- The paper: {c.claim}. Its tables: {c.verdict}. {c.sentence}" for c in claims]
-    record = {
-        "population": to_json(record_of(population)),
-        "margins": design.record,
-        "claims": [vars(c) for c in claims],
-    }
+    record = {**machine_record(population, design.record), "claims": [vars(c) for c in claims]}
     return {"record": record, "lines": [band_text(population), "", *answers, "", design.text]}
+
+
+def machine_record(population: PopulationResult, drawn: dict[str, Any]) -> dict[str, Any]:
+    """Give population and margins for machines; bands and values by testing, thousands of rows, are in the file."""
+    rows = [row for row in drawn["margins"] if row["method"] not in (BANDS, TESTING, TOLERANCE, SPREAD)]
+    files = {"population": PopulationRecord.FILE, "margins": "margins.json"}
+    return {"population": to_json(record_of(population)), "margins": {**drawn, "margins": rows}, "files": files}
 
 
 def band_text(population: PopulationResult) -> str:
@@ -127,11 +130,36 @@ def band_text(population: PopulationResult) -> str:
     return "\n".join(lines if enough else [*lines, f"  {never_tested_words(len(population.sets))}"])
 
 
-def pooled_forces(result: PopulationResult, specimens: Sequence[Specimen]) -> PopulationResult | None:
+def pool_of_tests(
+    folder: Path,
+    result: PopulationResult,
+    specimens: Sequence[Specimen],
+    asked: LoadingHistory | None = None,
+    *,
+    extrapolate: bool = False,
+    progress: bool = False,
+) -> tuple[Tests, PopulationResult]:
+    """Put the devices of a folder through a virtual test and pool them, or find both kept beside its population."""
+    path = folder / ("pool.npz" if asked is None else "pool-history.npz")
+    rests_on = [digests(folder, POPULATION), campaign_inputs(folder), asked, extrapolate]
+
+    def tests() -> Tests:
+        return virtual_tests(specimens, asked, extrapolate=extrapolate)
+
+    return kept_pool(path, rests_on, result, tests, progress=progress)
+
+
+def pooled_forces(folder: Path, result: PopulationResult, specimens: Sequence[Specimen]) -> PopulationResult | None:
     """Pool the forces that devices made in their own tests, to be compared; None where none gives any."""
-    tests = virtual_tests(specimens, None) if specimens else ()
-    few = [replace(test, values={q: v for q, v in test.values.items() if q in FORCES}) for test in tests]
-    return pool(few, result) if few else None
+    if not specimens:
+        return None
+    design = pool_of_tests(folder, result, specimens)[1]
+
+    def few(fits: Mapping[str, QuantityPosterior]) -> dict[str, QuantityPosterior]:
+        return {q: fit for q, fit in fits.items() if q in FORCES}
+
+    others = {label: few(fits) for label, fits in design.other_priors.items()}
+    return replace(design, posteriors=few(design.posteriors), other_priors=others)
 
 
 def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.0) -> tuple[dict[str, Any], str]:
@@ -149,7 +177,7 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
     curves = compare_curves(result, specimens, set_a, set_b, rope=rope)
     parameters, forces = compare(result, set_a, set_b, rope=rope), None
     held = {s.set_name for s in specimens}
-    if held >= {*first, *second} and (design := pooled_forces(result, specimens)):
+    if held >= {*first, *second} and (design := pooled_forces(folder, result, specimens)):
         forces = compare(design, set_a, set_b, rope=rope, names=[q for q in FORCES if q in design.posteriors])
     contrasts = [*(forces.contrasts if forces else ()), *parameters.contrasts]
     a, b = parameters.set_a, parameters.set_b
@@ -226,7 +254,7 @@ def compared_pairs(folder: Path, result: PopulationResult) -> tuple[tuple[CurveC
     path.unlink(missing_ok=True)
     if found:
         write_text(path, pd.DataFrame([row for curve in found for row in curve.rows()]).to_csv(index=False))
-    return found, pooled_forces(result, specimens) if specimens else None
+    return found, pooled_forces(folder, result, specimens)
 
 
 def comparison_lines(contrasts: Sequence[Contrast]) -> list[str]:
@@ -281,18 +309,18 @@ TABLES_NAME = "Published tables"
 MOST_DRAWN = 100  # devices whose loops are drawn and written
 
 
-def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) -> dict[str, Any]:
+def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) -> str:
     """Draw up and write the margins of a folder; parameters and errors as for `design_margins`.
 
-    ``record`` is the content of ``margins.json``, ``text`` the design table and what to mind, for people.
+    Gives the design table and what to mind, for people.
     """
     result = load_population(folder)
     named = (name if name == ANY_SET else result.set_names[result.index(name)] for name in request.sets)
     request = replace(request, sets=tuple(named))
     campaign, specimens, words = read_devices(folder, result, request.sets)
     asked = loading_history(request, specimens) if specimens else None
-    tests = virtual_tests(specimens, asked, extrapolate=request.extrapolate)
-    sheet = margins(pool(tests, result, progress=progress), tests, request, asked=asked, words=words)
+    tests, design = pool_of_tests(folder, result, specimens, asked, extrapolate=request.extrapolate, progress=progress)
+    sheet = margins(design, tests, request, asked=asked, words=words)
     speed = min(s.ranges["speed"] for s in specimens) if asked is None else float(asked.motion.speed_mm_s.max())
     loop_bands = loops(sheet.tests, speed) if len(sheet.tests) <= MOST_DRAWN else ()
     write_margins(sheet, folder)
@@ -304,7 +332,7 @@ def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) ->
     boxed = f"EXTRAPOLATED. {known}" if (known := extrapolated_words(sheet)) else ""
     notes += ["", boxed] if boxed else []
     lines = [margin_text(sheet, request.importance), "", *notes, "", *two_numbers(sheet)]
-    return {"record": sheet_record(sheet), "text": "\n".join(lines)}
+    return "\n".join(lines)
 
 
 def export_analysis(
@@ -330,8 +358,7 @@ def export_analysis(
     amplitude = tested if amplitude_mm is None else amplitude_mm
     if not 0 < amplitude <= LEEWAY * tested:
         raise PopulationError(f"an amplitude of {amplitude:g} mm was not tested; tested was up to {tested:.4g} mm")
-    tests = virtual_tests(specimens, None)
-    design = pool(tests, result, progress=progress)
+    tests, design = pool_of_tests(folder, result, specimens, progress=progress)
     drawn = bounds(design, result, amplitude)
     speed = min(s.ranges["speed"] for s in specimens)
     source = campaign.name if campaign else TABLES_NAME

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import shj_bayes
 from shj_bayes._util.files import damage_told, file_digest, need_population, plain_name, shipped
-from shj_bayes.errors import InferenceError, PriorError, did_you_mean
+from shj_bayes.errors import InferenceError, PopulationError, PriorError, did_you_mean
 from shj_bayes.model.parameters import BASE, base_of
 from shj_bayes.options import PLAIN, FitOptions, MarginOptions
 from shj_bayes.recording.reader import by_ending
@@ -29,7 +29,7 @@ from shj_bayes.results.campaign import CampaignRecord, read_campaign
 from shj_bayes.results.codec import to_json
 from shj_bayes.results.diagnosis import LeftOver
 from shj_bayes.results.fit import FitRecord, Trust
-from shj_bayes.results.store import check_files, digests, find, has, made, read
+from shj_bayes.results.store import check_files, content_of, digests, find, has, made, read
 
 if TYPE_CHECKING:
     from shj_bayes.model.priors import Prior, Priors
@@ -136,7 +136,7 @@ def design_margins(folder: Path, request: MarginOptions = PLAIN, *, progress: bo
     """
     need_population(folder)
 
-    def draw_up() -> dict[str, Any]:
+    def draw_up() -> str:
         # Virtual tests, codes and pictures need most of scipy, which margins that stand need not load.
         from shj_bayes.app.design import drawn_up  # noqa: PLC0415
 
@@ -147,7 +147,8 @@ def design_margins(folder: Path, request: MarginOptions = PLAIN, *, progress: bo
         if path := chosen[name]:
             chosen[name] = [str(path), file_digest(path)]
     rests_on = [chosen, digests(folder, POPULATION), campaign_inputs(folder)]
-    return CommandResult(**made(folder, "margins", rests_on, MARGINS, draw_up))
+    text = made(folder, "margins", rests_on, MARGINS, draw_up)
+    return CommandResult(content_of(folder / "margins.json", PopulationError), text)
 
 
 def campaign_inputs(folder: Path) -> dict[str, Any]:

@@ -184,17 +184,17 @@ def pool(logs: Mapping[tuple[str, str], FloatArray], result: PopulationResult, w
     # What is believed of gamma, of the force at the speed at which practical equivalence is meant.
     scale = ("centre", "centre_sd", "between_scale", "spread_median")
     prior = replace(gamma, **{name: ROPE_SPEED * getattr(gamma, name) for name in scale})
+    data = {
+        name: [
+            [Likelihood(False, middle[of, n][[k]], error[of, n][[k]], np.ones(1)) for n in devices]
+            for of, devices in groups.items()
+        ]
+        for k, name in enumerate(names)
+    }
 
     def fits(label: str, own: PopulationPrior) -> dict[str, QuantityPosterior]:
-        out = {}
-        for k, name in enumerate(names):
-            data = [
-                [Likelihood(False, middle[of, n][[k]], error[of, n][[k]], np.ones(1)) for n in devices]
-                for of, devices in groups.items()
-            ]
-            seed = stream(result.seed, "curve", word, name, label)
-            out[name] = fit_quantity(name, data, own, seed, FEWER_DRAWS)
-        return out
+        seeds = {name: stream(result.seed, "curve", word, name, label) for name in names}
+        return {name: fit_quantity(name, data[name], own, seeds[name], FEWER_DRAWS) for name in names}
 
     def kept(group: DeviceSet) -> DeviceSet:
         own = groups[group.name]

@@ -5,21 +5,27 @@ import json
 import math
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from shj_bayes._util.files import replacing, write_text
+from shj_bayes._util.files import damage_told, replacing, write_text
+from shj_bayes.errors import PopulationError
 from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Key, Margin
-from shj_bayes.margins.sheet import Sheet
+from shj_bayes.margins.sheet import Sheet, pool
 from shj_bayes.margins.spread import BETWEEN, COMMON, KNOWN, UNKNOWN
-from shj_bayes.margins.virtual_test import TABLE
-from shj_bayes.population.hierarchy import ANY_SET
-from shj_bayes.population.results import safe_cell
+from shj_bayes.margins.virtual_test import TABLE, VirtualTestResult
+from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
+from shj_bayes.population.results import PopulationRecord, draws_of, fits_of, safe_cell
+from shj_bayes.results.codec import from_json
+from shj_bayes.results.codec import to_json as codec_json
+from shj_bayes.results.store import digest_of, package, put_back, read_arrays, taken_out, write_arrays
 
+Tests = tuple[VirtualTestResult, ...]
 SCHEMA = "shj-bayes/margins/1"
 STEM = "margins"
 HEADS = {"set_name": "set", "degrees": "degrees_of_freedom"}
@@ -167,3 +173,31 @@ def design_table(sheet: Sheet) -> pd.DataFrame:
                             line[f"{head}, degrees of freedom"] = degrees_words(row.degrees)
             lines.append(line)
     return pd.DataFrame(lines)
+
+
+def kept_pool(
+    path: Path, rests_on: Any, result: PopulationResult, make: Callable[[], Tests], *, progress: bool
+) -> tuple[Tests, PopulationResult]:
+    """Give virtual tests of devices and their pooled forces: those of a file, where they still hold, or new ones in it.
+
+    Sheets rest on more than devices and history, which is `rests_on`. A file that is damaged is made again.
+    """
+    wanted = digest_of([package(), result.seed, rests_on])
+    try:
+        arrays = read_arrays(path, PopulationRecord, None)
+        with damage_told(path.name, PopulationError):
+            said = json.loads(arrays.pop("said").tobytes())
+            if said["rests_on"] == wanted and said["arrays"] == digest_of(arrays):
+                tests = from_json(Tests, put_back(said["tests"], arrays))
+                fits = fits_of({key: own for key, own in arrays.items() if "/" in key})
+                return tests, pool(tests, result, known=fits)
+    except PopulationError:  # missing or damaged
+        pass
+    tests = make()
+    design = pool(tests, result, progress=progress)
+    arrays = {}
+    said = {"rests_on": wanted, "tests": taken_out(codec_json(tests), arrays)}
+    arrays |= draws_of(design)
+    said["arrays"] = digest_of(arrays)
+    write_arrays(arrays | {"said": np.frombuffer(json.dumps(said).encode(), np.uint8)}, path)
+    return tests, design

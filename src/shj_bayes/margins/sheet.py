@@ -97,14 +97,24 @@ class Sheet:
         return {row.key: row for row in self.rows}
 
 
-def pool(tests: Sequence[VirtualTestResult], result: PopulationResult, *, progress: bool = False) -> PopulationResult:
-    """Pool the design quantities of devices after their virtual test, with tags and seed of `result`."""
+def pool(
+    tests: Sequence[VirtualTestResult],
+    result: PopulationResult,
+    *,
+    progress: bool = False,
+    known: Mapping[str, Mapping[str, QuantityPosterior]] | None = None,
+) -> PopulationResult:
+    """Pool the design quantities of devices after their virtual test, with tags and seed of `result`.
+
+    What an earlier call found is `known`, by prior and quantity.
+    """
     if not tests:
         raise PopulationError("no device gives all of K, Fy, beta and gamma; there are no margins without them")
     tags = {group.name: group.tags for group in result.sets}
     devices = [test.estimate(tags[test.set_name]) for test in tests]
-    design = replace(fit_population(devices, seed=result.seed, progress=progress, brief=True), tested=result.tested)
-    return _carried(design, tests) if any(test.carried for test in tests) else design
+    design = fit_population(devices, seed=result.seed, progress=progress, brief=True, known=known)
+    design = replace(design, tested=result.tested)
+    return _carried(design, tests) if known is None and any(test.carried for test in tests) else design
 
 
 def _carried(design: PopulationResult, tests: Sequence[VirtualTestResult]) -> PopulationResult:

@@ -145,7 +145,8 @@ def fit_quantity(
     """
     if not any(len(group) for group in sets):
         raise PopulationError(f"no device gives {quantity(name).name}; there is nothing to pool")
-    mu, tau, hyper = drawn(integrate(sets, prior), n_draws, np.random.default_rng(seed))
+    draws = drawn(integrate(sets, prior), n_draws, np.random.default_rng(seed))
+    mu, tau, hyper = (x.astype(np.float32).astype(np.float64) for x in draws)  # as they are stored
     return QuantityPosterior(name, mu, tau, hyper, tuple(len(group) for group in sets))
 
 
@@ -154,14 +155,14 @@ def fit_population(
     *,
     seed: int,
     progress: bool = False,
-    workers: int = 0,
     brief: bool = False,
+    known: Mapping[str, Mapping[str, QuantityPosterior]] | None = None,
 ) -> PopulationResult:
     """Pool devices, set by set, quantity by quantity, under the default prior and two others of the spread.
 
-    The numbers depend on the devices and the seed, not on `workers`, threads (0 for one per processor). With `brief`
-    there are fewer draws, for many quantities of which only a few quantiles are asked. `PopulationError` if devices
-    contradict each other or give nothing to pool.
+    With `brief` there are fewer draws, for many quantities of which only a few quantiles are asked. Posteriors that are
+    `known`, by prior and quantity, are not made again. `PopulationError` if devices contradict each other or give
+    nothing to pool.
     """
     if seed < 0:
         raise PopulationError(f"the seed must be zero or a positive whole number, not {seed}")
@@ -179,9 +180,9 @@ def fit_population(
         few = brief or label != MAIN_PRIOR
         return fit_quantity(q, sets[q], priors[q][label], stream(seed, q, label), FEWER_DRAWS if few else N_DRAWS)
 
-    tasks = [(label, q) for label in (MAIN_PRIOR, *ASSUMED) for q in names]
-    fits: dict[str, dict[str, QuantityPosterior]] = {}
-    with ThreadPoolExecutor(n_threads(workers)) as threads:
+    fits = {label: dict(of_prior) for label, of_prior in (known or {}).items()}
+    tasks = [(label, q) for label in (MAIN_PRIOR, *ASSUMED) for q in names if q not in fits.get(label, {})]
+    with ThreadPoolExecutor(n_threads(0)) as threads:
         done = tqdm(threads.map(one, tasks), "population", len(tasks), disable=None if progress else True, leave=False)
         for (label, q), fitted in zip(tasks, done, strict=True):
             fits.setdefault(label, {})[q] = fitted

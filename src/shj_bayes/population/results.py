@@ -12,13 +12,14 @@ import shj_bayes
 from shj_bayes._util.files import damage_told, write_text
 from shj_bayes.errors import PopulationError, ShjError
 from shj_bayes.population.device import NO_TAGS, RangeTested, Tags
-from shj_bayes.population.hierarchy import ANY_SET, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
+from shj_bayes.population.hierarchy import ANY_SET, MAIN_PRIOR, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import correlation_table, how_wide, new_device_table
-from shj_bayes.population.quantities import FloatArray, PopulationPrior
+from shj_bayes.population.quantities import PopulationPrior
 from shj_bayes.results.codec import IF_KNOWN
 from shj_bayes.results.store import read, read_arrays, write, write_arrays
 
 _DRAWS = "population.npz"
+PARTS = ("mu", "tau", "hyper")
 
 
 def safe_cell(value: object) -> object:
@@ -139,14 +140,28 @@ def write_population(result: PopulationResult, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     table = new_device_table(result).map(safe_cell)
     write_text(folder / "population.csv", table.to_csv(index=False, lineterminator="\n"))
-    arrays: dict[str, Any] = {}  # of numbers, so nothing is pickled (a word to say so is an array before numpy 2.1)
-    for label, fits in {"default": result.posteriors, **result.other_priors}.items():
-        for name, fit in fits.items():
-            key = f"{label}/{name}"
-            arrays |= {f"{key}/mu": fit.mu, f"{key}/tau": fit.tau, f"{key}/hyper": fit.hyper}
-            arrays[f"{key}/n_devices"] = np.array(fit.n_devices)
-    written = write_arrays(arrays, folder / _DRAWS)
+    written = write_arrays(draws_of(result), folder / _DRAWS)
     write(replace(record_of(result), draws_sha256=written), folder, ascii_only=False)
+
+
+def draws_of(result: PopulationResult) -> dict[str, Any]:
+    """Draws as arrays of numbers, by prior, quantity and part."""
+    arrays: dict[str, Any] = {}  # so that nothing is pickled (a word to say so is an array before numpy 2.1)
+    for label, fits in {MAIN_PRIOR: result.posteriors, **result.other_priors}.items():
+        for name, fit in fits.items():
+            arrays |= {f"{label}/{name}/{part}": getattr(fit, part).astype(np.float32) for part in PARTS}
+            arrays[f"{label}/{name}/n_devices"] = np.array(fit.n_devices)
+    return arrays
+
+
+def fits_of(arrays: Mapping[str, Any]) -> dict[str, dict[str, QuantityPosterior]]:
+    """Posteriors by prior and quantity from what `draws_of` gave."""
+    fits: dict[str, dict[str, QuantityPosterior]] = {}
+    for label, name, _ in (key.split("/") for key in arrays if key.endswith("/mu")):
+        mu, tau, hyper = (arrays[f"{label}/{name}/{part}"].astype(np.float64) for part in PARTS)
+        n_devices = tuple(arrays[f"{label}/{name}/n_devices"].tolist())
+        fits.setdefault(label, {})[name] = QuantityPosterior(name, mu, tau, hyper, n_devices)
+    return fits
 
 
 def load_population(folder: Path) -> PopulationResult:
@@ -154,38 +169,15 @@ def load_population(folder: Path) -> PopulationResult:
     record = read(PopulationRecord, folder)
     arrays = read_arrays(folder / _DRAWS, PopulationRecord, record.draws_sha256)
     with damage_told(f"{PopulationRecord.FILE} or {_DRAWS} in {folder.name}", PopulationError):
-        return _from_record(record, arrays)
-
-
-def _from_record(record: PopulationRecord, arrays: dict[str, FloatArray]) -> PopulationResult:
-    """Build a population from its record and its draws."""
-    fits: dict[str, dict[str, QuantityPosterior]] = {}
-    for key in arrays:
-        label, name, part = key.split("/")
-        if part != "mu":
-            continue
-        mu, tau, hyper, n = (arrays[f"{label}/{name}/{p}"] for p in ("mu", "tau", "hyper", "n_devices"))
-        fits.setdefault(label, {})[name] = QuantityPosterior(name, mu, tau, hyper, tuple(n.tolist()))
-
-    def number(value: float | None, missing: float) -> float:
-        return missing if value is None else float(value)
-
-    return PopulationResult(
-        sets=tuple(
-            DeviceSet(
-                one.name,
-                one.devices,
-                one.tags or NO_TAGS,
-                {k: tuple(number(x, np.nan) for x in v) for k, v in one.points.items()},
-                {k: tuple(number(x, np.nan) for x in v) for k, v in one.errors.items()},
-            )
+        fits = fits_of(arrays)
+        sets = tuple(
+            DeviceSet(one.name, one.devices, one.tags or NO_TAGS, _numbers(one.points), _numbers(one.errors))
             for one in record.sets
             if one.name != ANY_SET
-        ),
-        posteriors=fits.pop("default"),
-        other_priors=fits,
-        priors=record.priors,
-        importance_draws={row.quantity: number(row.importance_draws, np.inf) for row in record.quantities},
-        seed=record.seed,
-        tested=record.tested,
-    )
+        )
+        behind = {q.quantity: np.inf if q.importance_draws is None else q.importance_draws for q in record.quantities}
+        return PopulationResult(sets, fits.pop(MAIN_PRIOR), fits, record.priors, behind, record.seed, record.tested)
+
+
+def _numbers(rows: Mapping[str, tuple[float | None, ...]]) -> dict[str, tuple[float, ...]]:
+    return {name: tuple(np.nan if x is None else x for x in row) for name, row in rows.items()}

@@ -2,7 +2,8 @@
 
 A record is a frozen dataclass of texts, numbers, truth values, literals, enumerations of texts, tuples, mappings from
 texts, other records, each of them ``| None``, and ``Any``. ``Annotated[kind, {"minimum": 0}]`` bounds a value, in the
-words of JSON Schema. A field with a default may be missing in a file; what a file holds beside the fields is no fault.
+words of JSON Schema. An array is itself: `results.store` puts arrays beside a file. A field with a default may be
+missing in a file; what a file holds beside the fields is no fault.
 """
 
 import re
@@ -65,6 +66,8 @@ def _value(kind: Any, value: Any, at: str) -> Any:
         return _READERS[form](kind, args, value, at)
     if kind is float and type(value) is int and abs(value) < LARGEST:
         return float(value)
+    if form is not kind and isinstance(value, form):  # an array, which stood beside the file
+        return value
     return _of(kind, value, at)
 
 
@@ -150,5 +153,6 @@ _READERS: dict[Any, Callable[..., Any]] = {
     Literal: _one_of,
     tuple: _items,
     Mapping: _table,
+    dict: _table,
     "record": _record,
 }

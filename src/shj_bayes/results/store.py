@@ -66,6 +66,11 @@ def read(kind: type[Kind], folder: Path) -> Kind:
         raise kind.ERROR(f"{kind.FILE} in {folder.name}: {error}; {kind.AGAIN}") from error
 
 
+def content_of(path: Path, error: type[ShjError]) -> Any:
+    """Read a JSON file as it is."""
+    return read_json(path, error)
+
+
 def find(kind: type[Kind], folder: Path) -> Kind | None:
     """Read a record; None where there is none that can be read."""
     try:
@@ -140,6 +145,37 @@ def write_netcdf(path: Path, groups: Mapping[str, Group], words: Mapping[str, An
                 chunks = (*values.shape[:2], min(CHUNK, values.shape[2])) if values.ndim > 2 else None
                 made = place.create_variable(variable, dimensions, data=values, chunks=chunks, **COMPRESSED)
                 made.attrs.update(own)
+
+
+def taken_out(value: Any, arrays: dict[str, Any]) -> Any:
+    """Give values as JSON holds them, with the name of each array in its place, which goes to `arrays`."""
+    if isinstance(value, Mapping):
+        return {key: taken_out(part, arrays) for key, part in value.items()}
+    if isinstance(value, tuple | list):
+        return [taken_out(part, arrays) for part in value]
+    if not hasattr(value, "tobytes"):
+        return value
+    name = f"array-{len(arrays)}"
+    arrays[name] = value
+    return {"array": name}
+
+
+def put_back(value: Any, arrays: Mapping[str, Any]) -> Any:
+    """Undo `taken_out`."""
+    if isinstance(value, dict):
+        if value.keys() == {"array"}:
+            return arrays[value["array"]]
+        return {key: put_back(part, arrays) for key, part in value.items()}
+    return [put_back(part, arrays) for part in value] if isinstance(value, list) else value
+
+
+def digest_of(value: Any) -> str:
+    """SHA-256 of records, values that JSON holds, and arrays among them."""
+    arrays: dict[str, Any] = {}
+    own = hashlib.sha256(json.dumps(taken_out(to_json(value), arrays), sort_keys=True).encode())
+    for array in arrays.values():
+        own.update(array.tobytes())
+    return own.hexdigest()
 
 
 def check_files(folder: Path, record: FitRecord) -> None:

@@ -231,7 +231,7 @@ def test_a_band_that_ignores_the_spread_fails_the_same_test():
     assert not covers_90_percent(*new_device_coverage(4, 12, ignore_spread=True))
 
 
-def test_same_seed_same_numbers_whatever_the_workers_and_the_other_quantities():
+def test_same_seed_same_numbers_whatever_the_other_quantities():
     def devices(*names):
         return [
             DeviceEstimate(f"{s}{v}", s, {q: Rounded.to_step(v, 5.0).of(q) for q in names})
@@ -239,7 +239,7 @@ def test_same_seed_same_numbers_whatever_the_workers_and_the_other_quantities():
         ]
 
     first = fit_population(devices("Fy"), seed=4).fit("Fy").mu
-    assert np.array_equal(first, fit_population(devices("Fy"), seed=4, workers=2).fit("Fy").mu)
+    assert np.array_equal(first, fit_population(devices("Fy"), seed=4).fit("Fy").mu)
     assert np.array_equal(first, fit_population(devices("K", "Fy"), seed=4).fit("Fy").mu)
     assert not np.array_equal(first, fit_population(devices("Fy"), seed=5).fit("Fy").mu)
 
