@@ -94,6 +94,30 @@ def test_a_refused_command_leaves_the_sheet_as_it_was(folder, refused, quiet):
     assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
 
 
+def test_tests_and_pools_are_kept_until_devices_or_history_change(folder, monkeypatch):
+    """Another nominal force acts on what is kept, to the same numbers; what is damaged is made again."""
+
+    def never(*_, **__):
+        raise AssertionError
+
+    def drawn(*options):
+        assert run("margins", folder, "--quiet", *options).exit_code == 0
+        return (folder / "margins.csv").read_bytes()
+
+    fresh = drawn("--nominal", 70)
+    with monkeypatch.context() as kept:
+        kept.setattr("shj_bayes.app.design.virtual_tests", never)
+        assert drawn("--nominal", 80) != fresh
+        assert drawn("--nominal", 70) == fresh
+        assert isinstance(run("margins", folder, "--amplitude", 48).exception, AssertionError)
+    whole = (folder / "pool.npz").read_bytes()
+    for damaged in (whole[:-200], whole.replace(b"rests_on", b"rests_no"), b""):
+        (folder / "pool.npz").write_bytes(damaged)
+        (folder / "made.json").unlink()
+        assert drawn("--nominal", 70) == fresh
+        assert (folder / "pool.npz").read_bytes() == whole
+
+
 def test_a_nominal_force_acts_on_the_set_that_is_named_whatever_its_case(folder):
     done = run("margins", folder, "--set", "zinc 70", "--nominal", 70)
     assert done.exit_code == 0, done.output
