@@ -12,7 +12,7 @@ import pandas as pd
 
 from shj_bayes._util.files import need_population, shipped, write_text
 from shj_bayes.app.campaign import WRITES, Outcome
-from shj_bayes.app.resume import POPULATION, campaign_inputs, design_margins
+from shj_bayes.app.resume import POOLS, POPULATION, campaign_inputs, design_margins
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.curves import CurveContrast, compare_curves
@@ -64,7 +64,7 @@ def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progr
     people.
     """
     if not usable:
-        for name in WRITES:  # of devices that are no longer there
+        for name in (*WRITES, *POOLS):  # of devices that are no longer there
             (folder / name).unlink(missing_ok=True)
         render_campaign(folder)
         return {"record": {}, "lines": []}
@@ -140,7 +140,7 @@ def pool_of_tests(
     progress: bool = False,
 ) -> tuple[Tests, PopulationResult]:
     """Put the devices of a folder through a virtual test and pool them, or find both kept beside its population."""
-    path = folder / ("pool.npz" if asked is None else "pool-history.npz")
+    path = folder / POOLS[asked is not None]
     rests_on = [digests(folder, POPULATION), campaign_inputs(folder), asked, extrapolate]
 
     def tests() -> Tests:

@@ -125,6 +125,7 @@ def finished_record(folder: Path, key: str) -> tuple[FitRecord | None, str]:
 
 
 POPULATION = ("population.csv", "population.json", "population.npz")
+POOLS = ("pool.npz", "pool-history.npz")  # of the tests that devices went through, and of another history
 PAGE = "margins.html"
 MARGINS = ("margins.csv", "margins.xlsx", "margins.json", "margins-devices.csv", "loops.csv", PAGE)
 
