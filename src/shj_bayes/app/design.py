@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from shj_bayes._util.files import need_population, shipped, write_text
 from shj_bayes.app.campaign import WRITES, Outcome
 from shj_bayes.app.resume import POPULATION, design_margins
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.curves import CurveContrast, compare_curves
 from shj_bayes.margins.export import (
     bounds,
@@ -48,10 +47,10 @@ from shj_bayes.population.predict import never_tested_words, new_device_table, s
 from shj_bayes.population.results import load_population, record_of, safe_cell, write_population
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.campaign_physics import statements
-from shj_bayes.report.margins_page import NOMINAL, band_words, extrapolated_words, holds_words, render_margins, told
+from shj_bayes.report.margins_page import band_words, extrapolated_words, render_margins, shown_cards, told
 from shj_bayes.report.sets import FORCES, SHOWN, contrast_words, curve_words, multiplicity_words, name_of, pairs
 from shj_bayes.report.words import digits
-from shj_bayes.results.campaign import WITH_SET, CampaignRecord, read_campaign
+from shj_bayes.results.campaign import WITH_SET, CampaignRecord, Connection, read_campaign
 from shj_bayes.results.codec import to_json
 from shj_bayes.results.diagnosis import DiagnosisVerdict
 from shj_bayes.results.store import digests, has, made
@@ -292,7 +291,8 @@ def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) ->
     campaign, specimens, words = read_devices(folder, result, request.sets)
     asked = loading_history(request, specimens) if specimens else None
     tests = virtual_tests(specimens, asked, extrapolate=request.extrapolate)
-    sheet = margins(pool(tests, result, progress=progress), tests, request, asked=asked, words=words)
+    design, connections = pool(tests, result, progress=progress), connections_of(campaign, result)
+    sheet = margins(design, tests, request, asked=asked, words=words, connections=connections)
     speed = min(s.ranges["speed"] for s in specimens) if asked is None else float(asked.motion.speed_mm_s.max())
     loop_bands = loops(sheet.tests, speed) if len(sheet.tests) <= MOST_DRAWN else ()
     write_margins(sheet, folder)
@@ -303,7 +303,7 @@ def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) ->
     notes = [f"- {line}" for line in (*sheet.diagnoses, *sheet.warnings)]
     boxed = f"EXTRAPOLATED. {known}" if (known := extrapolated_words(sheet)) else ""
     notes += ["", boxed] if boxed else []
-    lines = [margin_text(sheet, request.importance), "", *notes, "", *two_numbers(sheet)]
+    lines = [margin_text(sheet), "", *notes, "", *two_numbers(sheet)]
     return {"record": sheet_record(sheet), "text": "\n".join(lines)}
 
 
@@ -383,6 +383,14 @@ def read_devices(
     return campaign, tuple(out), words
 
 
+def connections_of(campaign: CampaignRecord | None, result: PopulationResult) -> dict[str, Connection]:
+    """Give what the manifest says of the connection of each set; of the published tables what the paper says."""
+    if campaign is not None:
+        return {group.name: group.connection for group in campaign.sets if group.connection}
+    paper = Connection(bolts=2, bolt_mm=16.0, bolt_grade="8.8", slot_mm=220.0)
+    return {group.name: replace(paper, shim=group.tags.material or None) for group in result.sets}
+
+
 def _places(campaign: CampaignRecord, result: PopulationResult) -> list[tuple[str, str, str, bool]]:
     """Folder, name, set of every device of a campaign in its population, and whether it was fitted with its set's."""
     members = {group.name: group.devices for group in result.sets}
@@ -393,15 +401,35 @@ def _places(campaign: CampaignRecord, result: PopulationResult) -> list[tuple[st
     ]
 
 
-def margin_text(sheet: Sheet, importance: str) -> str:
-    """Design table as text: per set and quantity the new device, EN 1990 and a tolerance limit, then the factors."""
+def card_lines(sheet: Sheet) -> Iterator[str]:
+    """Card of each set as text."""
+    for card in shown_cards(sheet):
+        yield f"{card['name']}"
+        yield from (f"  {head}: {said}" for head, said in card["facts"])
+        yield f"  {'':32}{'drift':>9}{'typical':>9}{'capacity':>9}         {'+-draws':>7}"
+        for line in card["lines"]:
+            low, middle, high = line["values"]
+            numbers = f"{low:>9}{middle:>9}{high:>9} {line['unit']:7} {line['error']:>7}"
+            yield f"  {line['use']:32}{numbers}  {line['clause']}".rstrip()
+        yield from (f"  {head:32}{''.join(f'{cell:>9}' for cell in cells)}" for head, *cells in card["curve"])
+        yield ""
+
+
+LEGEND = (
+    "lowest, highest: smallest plateau and largest force of all runs; least, most: of the first run; plateau: mean; "
+    "third: third cycle; energy: of a cycle of the largest amplitude; _2: second run; ratio: second run / first; "
+    "degradation: 1 - ratio; K: initial stiffness; nu: degrees of freedom of the spread"
+)
+
+
+def margin_text(sheet: Sheet) -> str:
+    """Cards as text, then per set and quantity the new device, EN 1990 and a tolerance limit."""
     table, index = design_table(sheet), sheet.by_key
-    lines = []
+    lines = ["", *card_lines(sheet), LEGEND]
     for name in sheet.spoken:
         shown = "(all devices)" if name == ANY_SET else name
         part = table[table["set"] == shown]
         lines += ["", f"{name_of(name)}: {_behind(sheet, name)}"]
-        lines.append(f"  {first_words(sheet, name)}")
         lines.append(
             f"  {'':16}{'new device':>28}{'EN 1990 X_k':>22}{'EN 1990 X_d':>22}{'95/95 one-sided':>22}{'nu':>7}"
         )
@@ -419,7 +447,6 @@ def margin_text(sheet: Sheet, importance: str) -> str:
             lines.append(f"  (-: {sheet.withheld})")
         elif not complete:
             lines.append("  (-: EN 1990 has no factor for a spread known from fewer than 3 (X_k) or 4 (X_d) devices)")
-        lines += [] if sheet.withheld else [f"  {text}" for text in _factor_lines(sheet, name, importance)]
     if untested := sheet.untested:
         lines += ["", untested]
     return "\n".join(lines[1:])
@@ -428,7 +455,7 @@ def margin_text(sheet: Sheet, importance: str) -> str:
 def two_numbers(sheet: Sheet) -> list[str]:
     """End of the text, where a terminal shows it: the force for drift and the one for capacity design of each set."""
     own = (f"  {name_of(n)}, {_behind(sheet, n)}: {first_words(sheet, n)}" for n in sheet.spoken)
-    head = f"Two numbers of each set, of the devices that were tested, {holds_words(sheet)}, in {sheet.history}"
+    head = f"Two numbers of each set, of the devices that were tested, {sheet.holds}, in {sheet.history}"
     return [f"{head} (ageing is in the ASCE 7 and EN 15129 bounds alone):", *own]
 
 
@@ -445,23 +472,3 @@ def first_words(sheet: Sheet, name: str) -> str:
     own = {row.kind: row for row in sheet.rows if row.set_name == name}
     said = f"{DRIFT}: {told(own[DRIFT])} kN; {CAPACITY}: {told(own[CAPACITY])} kN"
     return f"{said} ({own[DRIFT].warning})" if own[DRIFT].warning else said
-
-
-def _factor_lines(sheet: Sheet, name: str, importance: str) -> list[str]:
-    own = {row.kind: row for row in sheet.rows if row.set_name == name}
-
-    def value(kind: str) -> str:
-        if kind not in own:
-            return "-"
-        return told(own[kind]) + (f" ({own[kind].warning})" if own[kind].warning else "")
-
-    return [
-        f"ASCE 7 lambda {value('lambda_min with the floor for dampers')} to "
-        f"{value('lambda_max with the floor for dampers')}, bounds {value('ASCE 7 lower bound force')} to "
-        f"{value('ASCE 7 upper bound force')} kN; EN 15129 {value(kind_of('LBDP', importance))} to "
-        f"{value(kind_of('UBDP', importance))} kN",
-        f"phi {value('phi equivalent, first run')}, after a first earthquake "
-        f"{value('phi equivalent, after a first earthquake')}, phi_o {value('phi_o equivalent')} "
-        "(NZ practice 0.70 and 1.40)",
-        f"lambda, phi and phi_o are of the nominal {value(NOMINAL)} kN: {own[NOMINAL].formula}",
-    ]

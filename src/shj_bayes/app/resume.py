@@ -126,7 +126,15 @@ def finished_record(folder: Path, key: str) -> tuple[FitRecord | None, str]:
 
 POPULATION = ("population.csv", "population.json", "population.npz")
 PAGE = "margins.html"
-MARGINS = ("margins.csv", "margins.xlsx", "margins.json", "margins-devices.csv", "loops.csv", PAGE)
+MARGINS = (
+    "margins.csv",
+    "margins.xlsx",
+    "margins.json",
+    "margins-devices.csv",
+    "margins-amplitude.csv",
+    "loops.csv",
+    PAGE,
+)
 
 
 def design_margins(folder: Path, request: MarginOptions = PLAIN, *, progress: bool = False) -> CommandResult:

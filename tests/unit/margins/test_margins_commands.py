@@ -40,7 +40,9 @@ def test_margins_prints_a_table_and_writes_the_sheet(folder):
     done = run("margins", folder, "--set", "Zinc 70", "--amplitude", 48, "--cycles", 2)
     assert done.exit_code == 0, done.output
     assert "Zinc 70: 2 devices" in done.output
-    assert "corroded" not in done.output.split("\n- ")[0]
+    assert done.output.startswith(
+        "Zinc 70\n  ONE connection: 2 bolts M16 8.8, slot 220 mm, free travel 102 mm to either side"
+    )
     page = (folder / "margins.html").read_text(encoding="utf-8")
     assert "<strong>2 cycles of 48\N{NO-BREAK SPACE}mm at a peak speed of 10" in page
     assert "for drift and displacement" in done.output
@@ -68,7 +70,7 @@ def test_wide_limits_are_printed_without_exponents_and_sets_are_counted_as_sets(
     asked = MarginOptions(sets=("Zinc 70",))
     sheet = margins(design, trials, asked)
     wide = [replace(r, value=1e3 + r.value) if r.method == "EN 1990" and r.side == HIGH else r for r in sheet.rows]
-    assert not re.search(r"\de[+-]\d", margin_text(replace(sheet, rows=tuple(wide)), "II"))
+    assert not re.search(r"\de[+-]\d", margin_text(replace(sheet, rows=tuple(wide))))
     assert counted(sheet, ANY_SET, None) == f"{len(design.sets)} sets"
 
 
@@ -215,19 +217,18 @@ def test_a_missing_factor_is_told_by_its_value_not_by_a_dash(design, trials):
     sheet = replace(margins(design, trials, MarginOptions(sets=("Zinc 70",))), spoken=("Zinc  -  70 -",))
     rows = [replace(row, set_name="Zinc  -  70 -") for row in sheet.rows]
     known = [replace(row, value=50.0) if row.method == "EN 1990" else row for row in rows]
-    assert "has no factor" not in margin_text(replace(sheet, rows=tuple(known)), "II")
+    assert "has no factor" not in margin_text(replace(sheet, rows=tuple(known)))
     lacks = [
         replace(row, value=math.nan) if row.method == "EN 1990" and row.quantity == "third" else row for row in known
     ]
-    assert margin_text(replace(sheet, rows=tuple(lacks)), "II").count("has no factor") == 1
+    assert margin_text(replace(sheet, rows=tuple(lacks))).count("has no factor") == 1
 
 
 def test_bounds_are_shown_for_the_class_that_was_asked_for(design, trials):
     third = MarginOptions(importance="III", sets=("Zinc 70",))
     sheet = margins(design, trials, third)
     bound = sheet.by_key["Zinc 70", "force", "EN 15129 LBDP, importance class III", LOW]
-    assert f"EN 15129 {told(bound)} to" in margin_text(sheet, "III")
-    assert "EN 15129 - to - kN" in margin_text(sheet, "I")
+    assert re.search(rf"EN 15129: LBDP, UBDP +{told(bound)} ", margin_text(sheet))
     factors = next(row["factors"] for row in set_table(sheet, "III") if row["name"] == "Zinc 70")
     assert factors[11] == bound
 
@@ -311,8 +312,13 @@ def test_a_drift_that_the_devices_do_not_allow_is_refused_with_what_they_do(fold
         ({"drift": "d.csv", "brace_angle_deg": 90}, "below 90"),
         ({"slip": "s.csv", "history": "h.csv"}, "give one history"),
         ({"slip": "s.csv", "cycles": 3}, "give one history"),
-        ({"bolts": 2}, "--bolts, --mu and --clamping"),
-        ({"surfaces": 1}, "--bolts, --mu and --clamping"),
+        ({"bolts": 2, "mu": 0.2}, "--bolts, --mu and --clamping"),
+        ({"lever_arm": 0.6, "brace_angle_deg": 30}, "not drift"),
+        ({"connections": 0}, "allowed are 1 to 1000"),
+        ({"reliability": "0.9999"}, "a share of 0.5 to 0.999"),
+        ({"reliability": "beta=x"}, "a share of 0.5 to 0.999"),
+        ({"clamping_cov": 1.2}, "between 0 and 1"),
+        ({"force_wanted_kN": -1}, "above zero"),
         ({"bolts": 2, "mu": 0.2, "clamping_kN": 95, "nominal_kN": 80}, "no --nominal beside them"),
         ({"bolts": 2, "mu": 21, "clamping_kN": 95}, "mu below 2"),
         ({"bolts": 0, "mu": 0.2, "clamping_kN": 95}, "above zero"),
@@ -372,11 +378,11 @@ def test_every_factor_has_its_nominal_force_beside_it(folder):
     done = run("margins", folder, "--set", "Zinc 70", "--bolts", 2, "--mu", 0.21, "--clamping", 95)
     assert done.exit_code == 0, done.output
     said = "V_ss = 2 bolts x 2 surfaces x mu 0.21 x 95 kN"
-    assert f"lambda, phi and phi_o are of the nominal 79.8 kN: {said}" in done.output
+    assert re.search(rf"nominal +79.8 +kN +{re.escape(said)}", done.output)
     assert said in (folder / "margins.html").read_text(encoding="utf-8").replace("\N{NO-BREAK SPACE}", " ")
     found, _ = numbers(folder)
     capacity, phi_o = (found["Zinc 70", kind] for kind in ("for capacity design", "phi_o equivalent"))
     assert phi_o["value"] == pytest.approx(capacity["value"] / 79.8)
     assert said in phi_o["inputs"]
     done = run("margins", folder, "--set", "Zinc 70")
-    assert "kN: third cycle of a typical device at 10 mm/s, first run" in done.output
+    assert re.search(r"nominal .* third cycle of a typical device at 10 mm/s, first run", done.output)
