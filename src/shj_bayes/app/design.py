@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -16,19 +16,22 @@ from shj_bayes.app.resume import POPULATION, design_margins
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.curves import CurveContrast, compare_curves
 from shj_bayes.margins.export import (
+    PROGRAMS,
     bounds,
     draw_devices,
     draws_csv,
     draws_script,
     link_csv,
+    links_script,
     loops,
     python_script,
+    stiffness_words,
     tcl_script,
     write_loops,
 )
 from shj_bayes.margins.files import CHOSEN, design_table, write_margins, write_workbook
 from shj_bayes.margins.files import to_json as sheet_record
-from shj_bayes.margins.history import LEEWAY, left_out_words, loading_history
+from shj_bayes.margins.history import LEEWAY, LoadingHistory, left_out_words, loading_history, untested
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins, pool
 from shj_bayes.margins.specimen import (
     Specimen,
@@ -40,6 +43,7 @@ from shj_bayes.margins.specimen import (
 )
 from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.options import MarginOptions
+from shj_bayes.planning.protocol import Protocol, ProtocolBlock
 from shj_bayes.population.compare import ROPE, Contrast, compare, members, row_of, strata_of
 from shj_bayes.population.device import PUBLISHED, Claim, common, device_from_fit, published_devices, tested_by_fit
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, fit_population
@@ -290,9 +294,14 @@ def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) ->
     request = replace(request, sets=tuple(named))
     campaign, specimens, words = read_devices(folder, result, request.sets)
     asked = loading_history(request, specimens) if specimens else None
-    tests = virtual_tests(specimens, asked, extrapolate=request.extrapolate)
-    design, connections = pool(tests, result, progress=progress), connections_of(campaign, result)
-    sheet = margins(design, tests, request, asked=asked, words=words, connections=connections)
+    connections = connections_of(campaign, result)
+    lifts = lifting_words(asked, specimens, connections)
+    try:
+        tests = virtual_tests(specimens, asked, extrapolate=request.extrapolate)
+    except PopulationError as error:
+        raise PopulationError(f"{error}. {lifts}") if lifts else error from error
+    design = pool(tests, result, progress=progress)
+    sheet = margins(design, tests, request, asked=asked, words=words, connections=connections, lifts=lifts)
     speed = min(s.ranges["speed"] for s in specimens) if asked is None else float(asked.motion.speed_mm_s.max())
     loop_bands = loops(sheet.tests, speed) if len(sheet.tests) <= MOST_DRAWN else ()
     write_margins(sheet, folder)
@@ -313,14 +322,18 @@ def export_analysis(
     amplitude_mm: float | None = None,
     draws: int | None = None,
     *,
+    target: str = PROGRAMS[0],
     progress: bool = False,
 ) -> tuple[Path, ...]:
-    """Write the bounds of every set of a folder for structural analysis; by default into ``opensees`` below it.
+    """Write the bounds of every set of a folder for an analysis program; by default into a folder of its name.
 
-    ``connection_materials.py`` and ``.tcl``, ``link-elements.csv``, ``loops.csv`` (bands of the virtual test) and, with
-    draws (new devices of each set for Monte Carlo), ``connection_draws.py`` and ``.csv``. The amplitude is that of the
-    cycle for effective stiffness and damping, the largest tested by default.
+    For OpenSees ``connection_materials.py`` and ``.tcl`` and, with draws (new devices of each set for Monte Carlo),
+    ``connection_draws.py`` and ``.csv``; for SAP2000 and ETABS ``connection_links.py``; for all ``link-elements.csv``
+    and ``loops.csv`` (bands of the virtual test). The amplitude is that of the cycle for effective stiffness and
+    damping, the largest tested by default.
     """
+    if draws is not None and target != PROGRAMS[0]:
+        raise PopulationError("--draws are materials of OpenSees; leave it out, or take --to opensees")
     need_population(folder)
     result = load_population(folder)
     campaign, specimens, _ = read_devices(folder, result)
@@ -332,19 +345,22 @@ def export_analysis(
         raise PopulationError(f"an amplitude of {amplitude:g} mm was not tested; tested was up to {tested:.4g} mm")
     tests = virtual_tests(specimens, None)
     design = pool(tests, result, progress=progress)
-    drawn = bounds(design, result, amplitude)
+    said = connections_of(campaign, result)
+    connections = {name: said.get(name, Connection()) for name in design.set_names}
+    drawn = bounds(design, result, amplitude, connections)
     speed = min(s.ranges["speed"] for s in specimens)
     source = campaign.name if campaign else TABLES_NAME
     devices = () if draws is None else draw_devices(design, result, draws, speed)
-    place = folder / "opensees" if out is None else out
+    place = folder / target if out is None else out
     place.mkdir(parents=True, exist_ok=True)
     cycle = f"{amplitude:.3g} mm"
-    left_out = left_out_words([test.channels for test in tests])
-    files = {
-        "connection_materials.py": python_script(drawn, amplitude, source, left_out),
-        "connection_materials.tcl": tcl_script(drawn, source, left_out),
-        "link-elements.csv": link_csv(drawn, cycle, left_out),
-    }
+    left_out = (*stiffness_words(connections), *left_out_words([test.channels for test in tests]))
+    files = {"link-elements.csv": link_csv(drawn, cycle, left_out)}
+    if target == PROGRAMS[0]:
+        files["connection_materials.py"] = python_script(drawn, amplitude, source, left_out)
+        files["connection_materials.tcl"] = tcl_script(drawn, source, left_out)
+    else:
+        files["connection_links.py"] = links_script(drawn, target, source, left_out)
     if devices:
         files["connection_draws.py"] = draws_script(devices, amplitude, speed, source, left_out)
         files["connection_draws.csv"] = draws_csv(devices, speed)
@@ -381,6 +397,40 @@ def read_devices(
     common = [group for group in campaign.together if not told or group.set in told]
     words = (*statements(common), *words_of(found, n_told, notes))
     return campaign, tuple(out), words
+
+
+DEVICES_MORE = 2  # one says nothing of how much devices differ
+CYCLES = 3  # of each speed: the nominal force is that of the third
+
+
+def lifting_words(
+    asked: LoadingHistory | None, specimens: Sequence[Specimen], connections: Mapping[str, Connection]
+) -> str:
+    """Say which tests would let a history stand that leaves what was tested; empty where all was tested."""
+    beyond = {} if asked is None else untested(asked, specimens)
+    if asked is None or not beyond:
+        return ""
+    tested = largest_ranges(specimens)
+    amplitude = rounded_up(float(np.ptp(asked.motion.displacement_mm)) / 2.0)
+    amplitude = max(amplitude, rounded_up(beyond["position"])) if "position" in beyond else amplitude
+    fastest = beyond.get("speed", tested["speed"])
+    speeds = sorted({rounded_up(v) for v in (math.sqrt(tested["speed"] * fastest), fastest)})
+    far = max(beyond.get("travel", 0.0), beyond.get("time", 0.0) * fastest / 2000.0)  # mean speed: about half the peak
+    cycles = max(CYCLES, math.ceil(1000.0 * far / (4.0 * amplitude * len(speeds))))
+    test = Protocol("lifting", tuple(ProtocolBlock(amplitude, speed, cycles) for speed in speeds))
+    narrow = [n for n, one in connections.items() if one.travel_mm is not None and one.travel_mm < amplitude]
+    slot = f"; the slot of {', '.join(narrow)} is too short for it" if narrow else ""
+    return (
+        f"What would lift this: of each set {DEVICES_MORE} devices, {cycles} cycles of {amplitude:g} mm at "
+        f"{' and '.join(f'{speed:g}' for speed in speeds)} mm/s ({test.duration_s:.0f} s and {test.travel_m:.2g} m of "
+        f"sliding a device{slot}); put their recordings into the manifest and run shj-bayes campaign again"
+    )
+
+
+def rounded_up(value: float) -> float:
+    """Next number with two digits."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.ceil(value / step * (1.0 - 1e-9)) * step:.3g}")
 
 
 def connections_of(campaign: CampaignRecord | None, result: PopulationResult) -> dict[str, Connection]:

@@ -102,6 +102,7 @@ class Sheet:
     fastest_mm_s: float = math.nan  # bounds hold for every peak speed of a stroke from standstill to this one
     reliability: float = SIDES[HIGH]  # share of new devices within a bound of the force
     connections: Mapping[str, Connection] = field(repr=False, default_factory=dict)  # as tested, by set
+    lifts: str = ""  # which tests would let an extrapolated history stand
 
     @property
     def share(self) -> str:
@@ -168,11 +169,12 @@ def margins(
     asked: LoadingHistory | None = None,
     words: Sequence[str] = (),
     connections: Mapping[str, Connection] | None = None,
+    lifts: str = "",
 ) -> Sheet:
     """Draw up the margins of a population from its pooled design quantities and the devices behind it.
 
     `asked` is the history of the virtual test, None for the devices' own; `words` say what the diagnoses found,
-    `connections` what was tested, by set.
+    `connections` what was tested, by set, `lifts` which tests would let a history stand that leaves what was tested.
     """
     n_sets = len(design.sets)
     # Of a set never tested the files keep numbers that are mostly assumption until enough sets were tested.
@@ -197,7 +199,7 @@ def margins(
         compared,
     )
     head = (rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own, withheld, fastest)
-    return Sheet(*head, request.probability, said)
+    return Sheet(*head, request.probability, said, lifts if laws else "")
 
 
 def _as_tested(row: Margin, history: str, withheld: str, laws: Sequence[str]) -> Margin:
@@ -430,7 +432,8 @@ def _few_devices(result: PopulationResult, spoken: Sequence[str]) -> Iterator[st
         which = f"{few} of {len(counts)} sets rest" if len(counts) > 1 else "The set rests"
         yield (
             f"{which} on one or two devices. The smallest and largest of two hold 90 % "
-            "of all devices with a confidence of only 1 %: two devices are not a band."
+            "of all devices with a confidence of only 1 %: two devices are not a band. Three devices of a "
+            "set, tested alike, give EN 1990 X_k from their own spread, four X_d as well."
         )
 
 

@@ -41,7 +41,7 @@ Number = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class _Set:
+class OneSet:
     """What is known of one set."""
 
     given: Given
@@ -82,12 +82,12 @@ def uses(
     given: Given, result: PopulationResult, devices: PredictiveDevices, connection: Connection
 ) -> Iterator[Margin]:
     """All rows of one set that are asked for, or that what is known of its connection allows."""
-    one = _Set(given, result, devices, connection)
+    one = OneSet(given, result, devices, connection)
     for rows in (_events, _together, _of_bolts, _wanted, _at_the_joint, _accepted):
         yield from rows(one)
 
 
-def _events(one: _Set) -> Iterator[Margin]:
+def _events(one: OneSet) -> Iterator[Margin]:
     """Force of the first run alone, and of those after it."""
     force, errors = one.given.basis.force, one.given.basis.errors
     for kind, low, high, which in (
@@ -122,7 +122,7 @@ def drawn_together(
     return out * np.exp(own_sd * rng.standard_normal(out.shape)) if own_sd else out
 
 
-def of_many(one: _Set, side: str, n: int, take: Callable[[FloatArray], FloatArray], own_sd: float = 0.0) -> Number:
+def of_many(one: OneSet, side: str, n: int, take: Callable[[FloatArray], FloatArray], own_sd: float = 0.0) -> Number:
     """Bound of what is taken of `n` connections, at the reliability asked for: the least favourable prior that counts.
 
     As of one connection, a run that fewer devices have gone through than there are counts as well.
@@ -141,7 +141,7 @@ def of_many(one: _Set, side: str, n: int, take: Callable[[FloatArray], FloatArra
     return (min if side == LOW else max)(found)
 
 
-def _together(one: _Set) -> Iterator[Margin]:
+def _together(one: OneSet) -> Iterator[Margin]:
     """Sum and largest of the connections that are asked for, and the effect of the tightening tolerance on one."""
     request, force = one.given.request, one.given.basis.force
     own_sd, said = 0.0, ""
@@ -176,7 +176,7 @@ def _together(one: _Set) -> Iterator[Margin]:
             yield one.row(kind, side, "kN", number, (formula, inputs, what[side], note if kind == SUM else ""))
 
 
-def _of_bolts(one: _Set) -> Iterator[Margin]:
+def _of_bolts(one: OneSet) -> Iterator[Margin]:
     """Force per bolt and sliding surface, and the friction coefficient that it is of the clamping."""
     if one.bolts is None:
         return
@@ -193,7 +193,7 @@ def _of_bolts(one: _Set) -> Iterator[Margin]:
             yield one.row(FRICTION, side, "1", (value / whole, error / whole), origin)
 
 
-def _wanted(one: _Set) -> Iterator[Margin]:
+def _wanted(one: OneSet) -> Iterator[Margin]:
     """Bolts, or clamping, that the lower force of a connection needs to reach the force wanted."""
     wanted = one.given.request.force_wanted_kN
     if wanted is None:
@@ -218,7 +218,7 @@ def _wanted(one: _Set) -> Iterator[Margin]:
         yield one.row(WANTED_CLAMPING, LOW, "kN", number, origin)
 
 
-def _at_the_joint(one: _Set) -> Iterator[Margin]:
+def _at_the_joint(one: OneSet) -> Iterator[Margin]:
     """Moment of a joint with its lever arm, storey force of a brace at its angle."""
     request = one.given.request
     for side, (value, error) in one.forces.items():
@@ -232,7 +232,7 @@ def _at_the_joint(one: _Set) -> Iterator[Margin]:
             yield one.row(STOREY, side, "kN", (value * share, error * share), ("force x cos angle", inputs, FOR[side]))
 
 
-def _accepted(one: _Set) -> Iterator[Margin]:
+def _accepted(one: OneSet) -> Iterator[Margin]:
     """Share of devices, and of deliveries, like those tested that pass production tests about the nominal force."""
     nominal, n = one.given.basis.nominal_kN, one.given.request.connections
     for kind, count, who in ((PASSES, 1, "one device"), (BATCH_PASSES, n, f"all of {n}")):
@@ -252,7 +252,7 @@ def _accepted(one: _Set) -> Iterator[Margin]:
         yield one.row(kind, LOW, "1", number, origin)
 
 
-def _within(one: _Set, device: FloatArray, prior: str, n: int, nominal_kN: float) -> FloatArray:
+def _within(one: OneSet, device: FloatArray, prior: str, n: int, nominal_kN: float) -> FloatArray:
     drawn = drawn_together(one.result, device, THIRD_CYCLE, prior, one.given.set_name, n)
     return np.asarray(np.all(np.abs(drawn / nominal_kN - 1.0) <= TOLERANCE, axis=0), dtype=np.float64)
 

@@ -248,7 +248,8 @@ def extrapolated_words(sheet: Sheet) -> str:
         f"bounded ({', '.join(laws)}); nobody knows which of them, if any, holds. They are no values for design: test "
         "at that speed, travel or time."
     )
-    return f"{said} Code values are {sheet.withheld}." if sheet.withheld else said
+    said += f" Code values are {sheet.withheld}." if sheet.withheld else ""
+    return f"{said} {sheet.lifts}." if sheet.lifts else said
 
 
 def _pictures(loops: Sequence[LoopBand]) -> dict[str, str]:

@@ -81,6 +81,40 @@ def test_speeds_that_were_not_tested_are_refused(folder):
     assert "--extrapolate" in done.output
 
 
+def test_a_refusal_and_an_extrapolated_sheet_say_which_tests_would_lift_them(folder):
+    """50 mm at 200 mm/s, tested at 10.0: the middle of both is sqrt(10.0 x 200) = 44.8, 45 mm/s with two digits."""
+    test = "of each set 2 devices, 3 cycles of 50 mm at 45 and 200 mm/s"
+    done = run("margins", folder, "--amplitude", 50, "--speed", 200)
+    assert done.exit_code == 1
+    assert test in done.output
+    done = run("margins", folder, "--amplitude", 50, "--speed", 200, "--extrapolate")
+    assert test in done.output
+    assert test in (folder / "margins.html").read_text(encoding="utf-8").replace("\N{NO-BREAK SPACE}", " ")
+    done = run("margins", folder, "--amplitude", 110)
+    assert "3 cycles of 110 mm at 11 mm/s" in done.output
+    assert "the slot of Zinc 70, Zinc 70 corroded" in done.output
+    assert "is too short for it" in done.output
+
+
+def test_export_knows_sap2000_and_etabs(folder, tmp_path):
+    done = run("export", folder, "--to", "etabs", "-o", tmp_path, "--json")
+    assert done.exit_code == 0, done.output
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["connection_links.py", "link-elements.csv", "loops.csv"]
+    script = runpy.run_path(str(tmp_path / "connection_links.py"))
+    links = {name: values for name, values in script["LINKS"].items() if name.startswith("1 Zinc 70,")}
+    assert {name.rpartition(", ")[2] for name in links} == {
+        *("lower", "middle", "upper", "fresh lower", "fresh upper", "worn lower", "worn upper")
+    }
+    force = {name.rpartition(", ")[2]: values[1] for name, values in links.items()}
+    assert force["lower"] <= force["worn lower"] < force["fresh lower"] < force["middle"] < force["upper"]
+    assert {values[4] for values in links.values()} == {102.0}
+    assert "ONE connection as tested" in (tmp_path / "connection_links.py").read_text(encoding="utf-8")
+    assert "may have grips and frame of the testing machine in it" in (tmp_path / "link-elements.csv").read_text(
+        encoding="utf-8"
+    )
+    assert run("export", folder, "--to", "etabs", "-o", tmp_path, "--draws", 5).exit_code == 1
+
+
 def test_an_unknown_set_is_named_with_those_there_are(folder):
     done = run("margins", folder, "--set", "Zink", "--speed", 8)
     assert done.exit_code == 1
