@@ -32,7 +32,7 @@ WAYS = (KNOWN, COMMON, UNKNOWN, BETWEEN)
 SIDES = (LOW, MIDDLE, HIGH)
 ASCE, FLOOR = "ASCE 7", "with the floor for dampers"
 CHARACTERISTIC, X_D = "EN 1990 characteristic, lognormal", "EN 1990 design, lognormal"
-PRODUCTION = "15 % of nominal, EN 15129, ASCE 7 18.6"
+PRODUCTION = "within 15 %: EN 15129, ASCE 7 18.6"
 LINES = (
     # use, clause or what the values are, kinds of the lower, typical and upper value
     ("all events: use these two", "smallest plateau; largest force", DRIFT, "", CAPACITY),
@@ -52,12 +52,12 @@ LINES = (
     ("ASCE 7: two analyses", "18.2.4; ageing in it", f"{ASCE} lower bound force", "", f"{ASCE} upper bound force"),
     ("ASCE 7: lambda on nominal", "18.2.4.5", f"lambda_min {FLOOR}", "", f"lambda_max {FLOOR}"),
     ("EN 15129: LBDP, UBDP", "EN 1998-2 Annex J; ageing in it", "EN 15129 LBDP", "", "EN 15129 UBDP"),
-    ("NZ: phi, phi_o on nominal", "practice: 0.70, 1.40", "phi equivalent, first run", "", "phi_o equivalent"),
-    ("NZ: phi, second event", "practice: 0.70", "phi equivalent, after a first earthquake", "", ""),
+    ("NZ: phi, phi_o on nominal", "", "phi equivalent, first run", "", "phi_o equivalent"),
+    ("NZ: phi, second event", "", "phi equivalent, after a first earthquake", "", ""),
     ("EN 1990: X_k", "D7.2; divide the lower one by gamma_m", CHARACTERISTIC, "", CHARACTERISTIC),
     ("EN 1990: X_d from tests", "D7.3; no gamma_m to follow", X_D, "", X_D),
-    ("accepted, one device", f"share of good ones, {PRODUCTION}", PASSES, "", ""),
-    ("accepted, all connections", f"share of good deliveries, {PRODUCTION}", BATCH_PASSES, "", ""),
+    ("share accepted, one device", f"of good ones {PRODUCTION}", PASSES, "", ""),
+    ("share accepted, all connections", f"of good deliveries {PRODUCTION}", BATCH_PASSES, "", ""),
     ("initial stiffness", "", *(f"new device, {level} %" for level in (5, 50, 95))),
 )
 
@@ -92,18 +92,17 @@ def cards(sheet: Sheet) -> tuple[Card, ...]:
     """Give the card of each set that the sheet tells of."""
     index = {(r.set_name, r.quantity, r.kind.partition(", importance")[0], r.side): r for r in sheet.rows}
     return tuple(
-        Card(name, tuple(_facts(sheet, name, index)), tuple(_lines(name, index, sheet.withheld)))
-        for name in sheet.spoken
+        Card(name, tuple(_facts(sheet, name, index)), tuple(_lines(name, index, sheet))) for name in sheet.spoken
     )
 
 
-def _lines(name: str, index: Mapping[Key, Margin], withheld: str) -> Iterator[CardLine]:
+def _lines(name: str, index: Mapping[Key, Margin], sheet: Sheet) -> Iterator[CardLine]:
     for use, clause, *kinds in LINES:
         low, middle, high = (shown(index, name, _quantity(k, s), k, s) for k, s in zip(kinds, SIDES, strict=True))
         rows = [row for row in (low, middle, high) if row]
-        if any(math.isfinite(row.value) or not withheld for row in rows):
+        if any(math.isfinite(row.value) or not sheet.withheld for row in rows):
             said = middle.formula if middle and use == "nominal" else clause
-            yield CardLine(use, said, low, middle, high)
+            yield CardLine(use.replace("all conn", f"{sheet.together} conn"), said, low, middle, high)
 
 
 def _quantity(kind: str, side: str) -> str:
@@ -125,8 +124,7 @@ def _facts(sheet: Sheet, name: str, index: Mapping[Key, Margin]) -> Iterator[tup
             f"slip of {tested.smallest_mm:.3g} to {tested.largest_mm:.3g} mm, cycles of {tested.slowest_mm_s:.3g} to "
             f"{tested.fastest_mm_s:.3g} mm/s ({tested.source})",
         )
-    yield "holds for", f"{sheet.holds}, in {sheet.history}"
-    yield "reliability", f"{sheet.share} of new devices within each bound of the force (codes as they say)"
+    yield "holds for", f"{sheet.share} of new devices {sheet.holds}, in {sheet.history}"
     age = index.get((name, "force", "lambda_ae,min", LOW))
     if age is not None:
         yield "ageing", f"only in ASCE 7 and EN 15129: {age.inputs}"

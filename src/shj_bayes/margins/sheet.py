@@ -103,6 +103,7 @@ class Sheet:
     reliability: float = SIDES[HIGH]  # share of new devices within a bound of the force
     connections: Mapping[str, Connection] = field(repr=False, default_factory=dict)  # as tested, by set
     lifts: str = ""  # which tests would let an extrapolated history stand
+    together: int | None = None  # connections that act together; None where none were asked for
 
     @property
     def share(self) -> str:
@@ -199,7 +200,7 @@ def margins(
         compared,
     )
     head = (rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own, withheld, fastest)
-    return Sheet(*head, request.probability, said, lifts if laws else "")
+    return Sheet(*head, request.probability, said, lifts if laws else "", request.connections)
 
 
 def _as_tested(row: Margin, history: str, withheld: str, laws: Sequence[str]) -> Margin:

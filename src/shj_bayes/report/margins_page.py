@@ -9,7 +9,7 @@ from shj_bayes.margins.card import CardLine, cards, shown
 from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.files import degrees_words
 from shj_bayes.margins.history import published_factors
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE, SPREAD, Key, Margin
+from shj_bayes.margins.row import DESIGN, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet
 from shj_bayes.margins.virtual_test import STEP, CyclePoint, over_amplitude
 from shj_bayes.population.hierarchy import ANY_SET
@@ -122,10 +122,11 @@ def line_words(line: CardLine) -> dict[str, Any]:
     """Give a line of a card as texts: use, values, unit, largest error from the draws, clause with what to mind."""
     rows = [row for row in (line.low, line.middle, line.high) if row]
     values = [told(row) if row else "" for row in (line.low, line.middle, line.high)]
-    said = [line.clause, *(row.warning for row in rows if row.warning)]
+    notes = [line.clause, *(row.warning for row in rows if row.warning)]
     unit, error = "" if rows[0].unit == "1" else rows[0].unit, max(row.monte_carlo_error for row in rows)
-    clause = "; ".join(filter(None, dict.fromkeys(said)))
-    return {"use": line.use, "values": values, "unit": unit, "error": f"{error:.1g}" if error else "", "clause": clause}
+    clause = "; ".join(filter(None, dict.fromkeys(notes)))
+    said = {"use": line.use, "values": values, "unit": unit, "error": f"{error:.1g}" if error else "", "clause": clause}
+    return said | {"main": rows[0].method == DESIGN}
 
 
 def band_words(index: Mapping[Key, Margin], name: str, quantity: str, factor: float = 1.0) -> list[str]:

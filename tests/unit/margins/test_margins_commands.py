@@ -82,7 +82,7 @@ def test_speeds_that_were_not_tested_are_refused(folder):
 
 
 def test_a_refusal_and_an_extrapolated_sheet_say_which_tests_would_lift_them(folder):
-    """50 mm at 200 mm/s, tested at 10.0: the middle of both is sqrt(10.0 x 200) = 44.8, 45 mm/s with two digits."""
+    """50 mm at 200 mm/s, tested at 10.1: the middle of both is sqrt(10.1 x 200) = 44.9, 45 mm/s with two digits."""
     test = "of each set 2 devices, 3 cycles of 50 mm at 45 and 200 mm/s"
     done = run("margins", folder, "--amplitude", 50, "--speed", 200)
     assert done.exit_code == 1

@@ -170,7 +170,7 @@ def test_the_card_says_what_it_is_what_it_holds_for_and_which_row_serves_which_c
     facts = dict(card.facts)
     assert facts["ONE connection"].startswith("2 bolts M16, 2 sliding surfaces, clamped with 95 kN a bolt, slot 220 mm")
     assert facts["tested"].startswith("slip of 5.94 to 95 mm, cycles of 9.8 to 10.2 mm/s")
-    assert facts["holds for"].startswith("at every speed from standstill to 10.2 mm/s")
+    assert facts["holds for"].startswith("90 % of new devices at every speed from standstill to 10.2 mm/s")
     lines = {line.use: line for line in card.lines}
     assert next(iter(lines)) == "all events: use these two"
     assert lines["second event"].low.value == sheet.by_key["Zinc 70", "force", "in a second event", LOW].value
@@ -200,7 +200,7 @@ def test_the_first_sheet_of_the_workbook_is_the_card_with_the_factors_of_the_cod
     book = pd.read_excel(tmp_path / "margins.xlsx", sheet_name=None)
     assert next(iter(book)) == "Cards"
     card = book["Cards"]
-    assert {"all connections together", "moment at the joint", "lambda_test,min", "nominal"} <= set(card["use"])
+    assert {"4 connections together", "moment at the joint", "lambda_test,min", "nominal"} <= set(card["use"])
     record = json.loads((tmp_path / "margins.json").read_text(encoding="utf-8"))
     assert record["reliability"] == 0.9
     assert record["cards"][0]["use"] == "all events: use these two"
