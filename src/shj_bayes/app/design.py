@@ -437,7 +437,7 @@ def connections_of(campaign: CampaignRecord | None, result: PopulationResult) ->
     """Give what the manifest says of the connection of each set; of the published tables what the paper says."""
     if campaign is not None:
         return {group.name: group.connection for group in campaign.sets if group.connection}
-    paper = Connection(bolts=2, bolt_mm=16.0, bolt_grade="8.8", slot_mm=220.0)
+    paper = Connection(bolts=2, bolt_mm=16.0, bolt_grade="8.8", surfaces=2, slot_mm=220.0)
     return {group.name: replace(paper, shim=group.tags.material or None) for group in result.sets}
 
 

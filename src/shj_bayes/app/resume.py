@@ -126,15 +126,8 @@ def finished_record(folder: Path, key: str) -> tuple[FitRecord | None, str]:
 
 POPULATION = ("population.csv", "population.json", "population.npz")
 PAGE = "margins.html"
-MARGINS = (
-    "margins.csv",
-    "margins.xlsx",
-    "margins.json",
-    "margins-devices.csv",
-    "margins-amplitude.csv",
-    "loops.csv",
-    PAGE,
-)
+_OF_MARGINS = (".csv", ".xlsx", ".json", "-devices.csv", "-amplitude.csv")
+MARGINS = (*(f"margins{ending}" for ending in _OF_MARGINS), "loops.csv", PAGE)
 
 
 def design_margins(folder: Path, request: MarginOptions = PLAIN, *, progress: bool = False) -> CommandResult:

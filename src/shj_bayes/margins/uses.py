@@ -69,8 +69,9 @@ class OneSet:
 
     @property
     def surfaces(self) -> int:
-        """Sliding surfaces of each bolt."""
-        return self.connection.surfaces or self.given.request.surfaces
+        """Sliding surfaces of each bolt; the option goes with bolts of the options."""
+        stated = None if self.given.request.bolts else self.connection.surfaces
+        return stated or self.given.request.surfaces
 
     @property
     def clamping_kN(self) -> float | None:
@@ -181,7 +182,8 @@ def _of_bolts(one: OneSet) -> Iterator[Margin]:
     if one.bolts is None:
         return
     parts, clamping = one.bolts * one.surfaces, one.clamping_kN
-    said = f"{one.bolts} bolts x {one.surfaces} surfaces"
+    taken = one.given.request.bolts is None and one.connection.surfaces is None
+    said = f"{one.bolts} bolts x {one.surfaces} surfaces{' (taken, not said)' if taken else ''}"
     for side, (value, error) in one.forces.items():
         told = ("force / (bolts x surfaces)", f"{value:.4g} kN / ({said})", FOR[side])
         yield one.row(PER_BOLT, side, "kN", (value / parts, error / parts), told)

@@ -41,7 +41,7 @@ def test_margins_prints_a_table_and_writes_the_sheet(folder):
     assert done.exit_code == 0, done.output
     assert "Zinc 70: 2 devices" in done.output
     assert done.output.startswith(
-        "Zinc 70\n  ONE connection: 2 bolts M16 8.8, slot 220 mm, free travel 102 mm to either side"
+        "Zinc 70\n  ONE connection: 2 bolts M16 8.8, 2 sliding surfaces, slot 220 mm, free travel 102 mm to either side"
     )
     page = (folder / "margins.html").read_text(encoding="utf-8")
     assert "<strong>2 cycles of 48\N{NO-BREAK SPACE}mm at a peak speed of 10" in page
