@@ -44,7 +44,7 @@ LINES = (
     ("per bolt and sliding surface", "", PER_BOLT, PER_BOLT, PER_BOLT),
     ("effective friction coefficient", "of the clamping stated", FRICTION, FRICTION, FRICTION),
     ("bolts for the force wanted", "in proportion to those tested", WANTED_BOLTS, "", ""),
-    ("clamping of one bolt for it", "with the bolts as tested", WANTED_CLAMPING, "", ""),
+    ("clamping of one bolt for it", "as tested, if their proof load allows", WANTED_CLAMPING, "", ""),
     ("force with the bolts for it", "in proportion", "", "", WANTED_CAPACITY),
     ("moment at the joint", "force x lever arm", MOMENT, MOMENT, MOMENT),
     ("storey force of one brace", "force x cos angle", STOREY, STOREY, STOREY),

@@ -67,6 +67,15 @@ class OneSet:
         """Bolts of the connection as tested."""
         return self.given.request.bolts or self.connection.bolts
 
+    def bolts_for(self, flag: str) -> int | None:
+        """Give the bolts that an option needs; None for a set never tested, of which nothing is said then."""
+        if self.bolts is None and self.given.set_name != ANY_SET:
+            raise PopulationError(
+                f"{flag} needs the number of bolts of {self.given.set_name} as tested: --bolts, or bolts in "
+                "[set.connection] of the manifest; or leave the set out by --set"
+            )
+        return self.bolts
+
     @property
     def surfaces(self) -> int:
         """Sliding surfaces of each bolt; the option goes with bolts of the options."""
@@ -146,13 +155,9 @@ def _together(one: OneSet) -> Iterator[Margin]:
     """Sum and largest of the connections that are asked for, and the effect of the tightening tolerance on one."""
     request, force = one.given.request, one.given.basis.force
     own_sd, said = 0.0, ""
-    if request.clamping_cov is not None:
-        if one.bolts is None:
-            raise PopulationError(
-                "--clamping-cov needs the number of bolts: --bolts, or bolts in [set.connection] of the manifest"
-            )
-        own_sd = math.sqrt(math.log1p(request.clamping_cov**2 / one.bolts))
-        said = f"; tightening V = {request.clamping_cov:g} a bolt, / sqrt({one.bolts}) a connection"
+    if request.clamping_cov is not None and (bolts := one.bolts_for("--clamping-cov")):
+        own_sd = math.sqrt(math.log1p(request.clamping_cov**2 / bolts))
+        said = f"; tightening V = {request.clamping_cov:g} a bolt, / sqrt({bolts}) a connection"
         note = "beside the scatter of the tests, in which the tightening of the laboratory is already"
         for side in (LOW, HIGH):
             number = of_many(one, side, 1, lambda drawn: drawn[0], own_sd)
@@ -198,19 +203,15 @@ def _of_bolts(one: OneSet) -> Iterator[Margin]:
 def _wanted(one: OneSet) -> Iterator[Margin]:
     """Bolts, or clamping, that the lower force of a connection needs to reach the force wanted."""
     wanted = one.given.request.force_wanted_kN
-    if wanted is None:
+    if wanted is None or (bolts := one.bolts_for("--force-wanted")) is None:
         return
-    if one.bolts is None:
-        raise PopulationError(
-            "--force-wanted needs the number of bolts as tested: --bolts, or bolts in [set.connection] of the manifest"
-        )
     (low, low_error), (high, high_error) = one.forces[LOW], one.forces[HIGH]
-    n = math.ceil(wanted * one.bolts / low - 1e-9)
+    n = math.ceil(wanted * bolts / low - 1e-9)
     note = "force in proportion to bolts and clamping: shims, holes and plates as tested"
-    inputs = f"{wanted:g} kN, {low:.4g} kN of {one.bolts} bolts as tested"
+    inputs = f"{wanted:g} kN, {low:.4g} kN of {bolts} bolts as tested"
     yield one.row(WANTED_BOLTS, LOW, "1", (n, 0.0), ("wanted / (lower force / bolts), up", inputs, FOR[LOW], note))
-    upper = (high * n / one.bolts, high_error * n / one.bolts)
-    origin = ("upper force x bolts / bolts as tested", f"{high:.4g} kN x {n} / {one.bolts}", FOR[HIGH], note)
+    upper = (high * n / bolts, high_error * n / bolts)
+    origin = ("upper force x bolts / bolts as tested", f"{high:.4g} kN x {n} / {bolts}", FOR[HIGH], note)
     yield one.row(WANTED_CAPACITY, HIGH, "kN", upper, origin)
     if one.clamping_kN is not None:
         value = one.clamping_kN * wanted / low

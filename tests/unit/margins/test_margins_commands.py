@@ -115,6 +115,19 @@ def test_export_knows_sap2000_and_etabs(folder, tmp_path):
     assert run("export", folder, "--to", "etabs", "-o", tmp_path, "--draws", 5).exit_code == 1
 
 
+def test_what_bolts_are_asked_of_goes_by_what_is_known_of_each_set(folder):
+    """The paper says two bolts; of a set never tested nobody knows them."""
+    done = run("margins", folder, "--force-wanted", 100, "--clamping-cov", 0.1, "--connections", 4)
+    assert done.exit_code == 0, done.output
+    found, _ = numbers(folder)
+    assert found["Zinc 70", "bolts for the force wanted"]["value"] == math.ceil(
+        200 / found["Zinc 70", "for drift and displacement"]["value"]
+    )
+    assert (ANY_SET, "bolts for the force wanted") not in found
+    assert (ANY_SET, "sum of connections that act together") in found
+    assert "4 connections together" in done.output
+
+
 def test_an_unknown_set_is_named_with_those_there_are(folder):
     done = run("margins", folder, "--set", "Zink", "--speed", 8)
     assert done.exit_code == 1

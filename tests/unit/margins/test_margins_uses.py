@@ -100,7 +100,7 @@ def test_a_tightening_tolerance_is_averaged_over_the_bolts():
     """
     found = rows(MarginOptions(clamping_cov=0.1))
     assert found[TIGHTENED, LOW].value == pytest.approx(65.41, rel=0.006)
-    with pytest.raises(PopulationError, match="needs the number of bolts"):
+    with pytest.raises(PopulationError, match="--clamping-cov needs the number of bolts of A"):
         rows(MarginOptions(clamping_cov=0.1), connection=Connection())
 
 
