@@ -92,7 +92,7 @@ def is_part(lesser: str, greater: str) -> bool:
 
 def levels_of(reliability: float) -> dict[str, float]:
     """Shares of devices below the lower bound, the middle and the upper bound of a force."""
-    return {LOW: 1.0 - reliability, MIDDLE: 0.5, HIGH: reliability}
+    return {LOW: round(1.0 - reliability, 12), MIDDLE: 0.5, HIGH: reliability}
 
 
 def force_ends(
@@ -173,7 +173,7 @@ class SlidingForceBounds:
 
     def level(self, side: str) -> str:
         """Per cent of devices below the end of a side."""
-        return f"{100.0 * levels_of(1.0 - self.beyond)[side]:.4g}"
+        return f"{100.0 * levels_of(round(1.0 - self.beyond, 12))[side]:.4g}"
 
     @property
     def words(self) -> str:
@@ -206,7 +206,7 @@ def sliding_force_bounds(
         ratio=float(np.median(main["ratio"])) if "ratio" in main else None,
         first_high=ends[MOST, HIGH],
         later_high=max(most, default=None),
-        beyond=1.0 - reliability,
+        beyond=round(1.0 - reliability, 12),
     )
 
 

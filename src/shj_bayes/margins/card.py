@@ -102,7 +102,9 @@ def _lines(name: str, index: Mapping[Key, Margin], sheet: Sheet) -> Iterator[Car
         rows = [row for row in (low, middle, high) if row]
         if any(math.isfinite(row.value) or not sheet.withheld for row in rows):
             said = middle.formula if middle and use == "nominal" else clause
-            yield CardLine(use.replace("all conn", f"{sheet.together} conn"), said, low, middle, high)
+            named = use.replace("all conn", f"{sheet.together} conn")
+            named = named.removesuffix(": use these two") if sheet.extrapolated else named
+            yield CardLine(named, said, low, middle, high)
 
 
 def _quantity(kind: str, side: str) -> str:

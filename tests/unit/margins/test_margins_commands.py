@@ -405,7 +405,8 @@ def test_numbers_that_no_test_stands_behind_say_so_wherever_they_stand(folder):
     assert end.count("kN (extrapolated, not tested)") == 3
     assert "phi_o" not in done.output
     page = (folder / "margins.html").read_text(encoding="utf-8")
-    assert page.index(box) < page.index("capacity design (kN)")
+    assert page.index(box) < page.index("all events")
+    assert "use these two" not in page + done.output
     assert "95 % of new devices stay above it" not in page
     assert "Nothing here holds outside" not in page
     found, record = numbers(folder)
