@@ -58,6 +58,27 @@ def draws_of_one_set(
     array, shape (200,)
         At the probabilities ``AT``.
     """
+    weight, level, spread, sd_level, squared = _posterior(values, errors, prior)
+    sd = np.sqrt(spread**2 + sd_level**2 + read * squared)
+    middle = float(weight @ level)
+    inside = np.linspace(-6.0, 6.0, N_FORCES)
+    scale = float(np.exp(weight @ np.log(sd)))
+    grid = middle + scale * np.sinh(inside) / 4.0
+    share = weight @ ndtr((grid - level[:, None]) / sd[:, None])
+    return np.asarray(np.interp(AT, share, grid))
+
+
+def level_and_spread(
+    values: FloatArray, errors: FloatArray, prior: PopulationPrior, n: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Draw level and spread of the set together, each of shape (n,); arguments as for `draws_of_one_set`."""
+    weight, level, spread, sd_level, _ = _posterior(values, errors, prior)
+    chosen = rng.choice(weight.size, n, p=weight)
+    return level[chosen] + sd_level[chosen] * rng.standard_normal(n), spread[chosen]
+
+
+def _posterior(values: FloatArray, errors: FloatArray, prior: PopulationPrior) -> tuple[FloatArray, ...]:
+    """Weight of each spread, level, the spread, standard deviation of the level, mean square of the errors."""
     spread = np.exp(LOG_SPREADS)[:, None]
     precision = 1.0 / (spread**2 + errors**2)
     total = precision.sum(axis=1)
@@ -65,15 +86,9 @@ def draws_of_one_set(
     squares = np.sum(precision * (values - level[:, None]) ** 2, axis=1)
     log_weight = 0.5 * np.log(precision).sum(axis=1) - 0.5 * np.log(total) - 0.5 * squares + prior_of_spread(prior)
     weight = np.exp(log_weight - logsumexp(log_weight))
-    sd = np.sqrt(spread[:, 0] ** 2 + 1.0 / total + read * np.mean(errors**2))
     kept = weight > 1e-9
-    weight, sd, level = weight[kept] / weight[kept].sum(), sd[kept], level[kept]
-    middle = float(weight @ level)
-    inside = np.linspace(-6.0, 6.0, N_FORCES)
-    scale = float(np.exp(weight @ np.log(sd)))
-    grid = middle + scale * np.sinh(inside) / 4.0
-    share = weight @ ndtr((grid - level[:, None]) / sd[:, None])
-    return np.asarray(np.interp(AT, share, grid))
+    weight = weight[kept] / weight[kept].sum()
+    return weight, level[kept], spread[kept, 0], 1.0 / np.sqrt(total[kept]), np.array(np.mean(errors**2))
 
 
 def below(n: int, spread: float, error: float, campaigns: int, seed: int) -> dict[str, float]:

@@ -18,9 +18,9 @@ SRC = ROOT / "src" / "shj_bayes"
 RESULTS = re.compile(r"\b(fit|diagnosis|campaign|population|summary|residual)\.json\b|\b(posterior|diagnosis)\.nc\b")
 READS = re.compile(r"\b(read_json|open_dataset|open_group|InferenceData|from_netcdf|json\.loads?)\(")
 LIMITS = {
-    "lines": 35_773,
-    "files": 185,
-    "dataclasses": 189,
+    "lines": 36_677,
+    "files": 187,
+    "dataclasses": 197,
     "class names that exist twice": 0,
     "methods of the largest class": 29,
     "modules that open a result file": 2,

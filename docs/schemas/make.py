@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
+from shj_bayes.margins.files import MarginsRecord
 from shj_bayes.planning.plan import PlanRecord
 from shj_bayes.population.results import PopulationRecord
 from shj_bayes.results.campaign import CampaignRecord
@@ -14,7 +15,7 @@ from shj_bayes.results.fit import FitRecord, SummaryRecord
 
 TYPES: dict[Any, str] = {str: "string", int: "integer", float: "number", bool: "boolean"}
 RECORDS: tuple[Any, ...] = (
-    *(FitRecord, SummaryRecord, LeftOver, DiagnosisRecord, CampaignRecord, PopulationRecord, PlanRecord),
+    *(FitRecord, SummaryRecord, LeftOver, DiagnosisRecord, CampaignRecord, PopulationRecord, MarginsRecord, PlanRecord),
 )
 
 

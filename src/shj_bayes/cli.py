@@ -375,22 +375,25 @@ def margins(folder: Path, output: Output, **options: Any) -> None:
 
 @main.command()
 @RESULTS
-@click.option("--to", "target", type=click.Choice(["opensees"]), required=True, help="OpenSees, and a link table.")
-@click.option("-o", "--out", type=FOLDER, help="By default DIR/opensees.")
+@click.option(
+    "--to", "target", type=click.Choice(["opensees", "sap2000", "etabs"]), required=True, help="And a link table."
+)
+@click.option("-o", "--out", type=FOLDER, help="By default a folder of that name in DIR.")
 @click.option("--amplitude", "amplitude_mm", type=float, metavar="MM", help="Of the cycle; largest tested by default.")
 @click.option("--draws", type=int, metavar="N", help="New devices of each set too, as materials for Monte Carlo.")
 @_with_output
 def export(
     folder: Path, target: str, out: Path | None, amplitude_mm: float | None, draws: int | None, output: Output
 ) -> None:
-    """Write materials for structural analysis.
+    """Write materials or links for structural analysis.
 
     Lower, middle and upper bounds of a campaign or of the tables in DIR.
     """
     need_population(folder)
     from shj_bayes.app.design import export_analysis
 
-    paths = [str(path) for path in export_analysis(folder, out, amplitude_mm, draws, progress=output.speaks)]
+    files = export_analysis(folder, out, amplitude_mm, draws, target=target, progress=output.speaks)
+    paths = [str(path) for path in files]
     output.show({"schema": "shj-bayes/export/1", "to": target, "files": paths}, "\n".join(paths))
 
 

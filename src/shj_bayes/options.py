@@ -201,6 +201,10 @@ class MarginOptions:
     importance: str = option("II", "Importance class of the structure (EN 15129).", choices=("I", "II", "III"))
     v_known: float | None = option(None, "Known coefficient of variation of the sliding force.", "V")
     v_reason: str = option("", "Where V is known from; printed beside the values.", "WORDS")
+    reliability: str = option("0.95", "Of the forces: share of devices within, or beta=1.5 (EN 1990).", "P")
+    connections: int | None = option(None, "Connections that act together: their sum, the largest of them.", "N")
+    force_wanted_kN: float | None = option(None, "Force to count on: bolts and clamping that it needs.", "KN")
+    clamping_cov: float | None = option(None, "Coefficient of variation of one bolt's tightening.", "V")
     sets: tuple[str, ...] = option((), "Draw up this set alone; may be given again.", "NAME", flag="--set")
 
     def __post_init__(self) -> None:
@@ -213,6 +217,7 @@ class MarginOptions:
             raise PopulationError("give one history: a slip, a drift, or amplitude, speed and cycles of a sine")
         self._check_drift()
         self._check_nominal()
+        self._check_many()
         if self.v_known is not None and not 0 < self.v_known < 1:
             raise PopulationError(f"a known coefficient of variation must lie between 0 and 1; got {self.v_known:g}")
         if (self.v_known is None) != (not self.v_reason.strip()):
@@ -223,17 +228,20 @@ class MarginOptions:
 
     def _check_drift(self) -> None:
         turned = [value for value in (self.storey_height, self.lever_arm) if value is not None]
-        ways = bool(turned) + (self.brace_angle_deg is not None)
-        if ways != (self.drift is not None) or len(turned) == 1:
+        angle = self.brace_angle_deg
+        # Without a drift, the arm or the angle alone make a moment or a storey force of the force of a device.
+        one_arm = self.drift is None and self.storey_height is None
+        allowed = {(0, True), (0, False), (1, False)} if one_arm else {(2, False), (0, True)}
+        if (len(turned), angle is not None) not in allowed or (self.drift is None and self.storey_height is not None):
             raise PopulationError(
                 "--drift goes with --storey-height and --lever-arm, or with --brace-angle alone: a device feels slip, "
                 "not drift; a history that is slip already is given by --slip"
             )
-        angle = self.brace_angle_deg
         if angle is not None and not 0 <= angle < MOST_BRACE_DEG:
             raise PopulationError(f"a brace is at 0 to below {MOST_BRACE_DEG} degrees to the horizontal; got {angle:g}")
-        for value, (low, high), what in zip(turned, (HEIGHT_MM, ARM_MM), ("storey height", "lever arm"), strict=False):
-            if not low <= in_mm(value) <= high:
+        lengths = ((self.storey_height, HEIGHT_MM, "storey height"), (self.lever_arm, ARM_MM, "lever arm"))
+        for value, (low, high), what in lengths:
+            if value is not None and not low <= in_mm(value) <= high:
                 raise PopulationError(
                     f"a {what} of {value:g}, read as {in_mm(value):g} mm; allowed is {low:g} to {high:g} mm, or "
                     f"{low / 1000:g} to {high / 1000:g} m: below {LEAST_MM:g} a length counts as metres"
@@ -242,7 +250,7 @@ class MarginOptions:
     def _check_nominal(self) -> None:
         parts = (self.bolts, self.mu, self.clamping_kN)
         stated = [value for value in parts if value is not None]
-        if (stated or self.surfaces != 2) and (len(stated) < len(parts) or self.nominal_kN is not None):
+        if self.mu is not None and (len(stated) < len(parts) or self.nominal_kN is not None):
             raise PopulationError(
                 "V_ss needs --bolts, --mu and --clamping (kN of one bolt) together, and no --nominal beside them"
             )
@@ -250,6 +258,29 @@ class MarginOptions:
             raise PopulationError(f"numbers of V_ss must be above zero, and mu below {MOST_MU:g}")
         if self.nominal_kN is not None and not (math.isfinite(self.nominal_kN) and self.nominal_kN > 0):
             raise PopulationError(f"a nominal sliding force must be above zero; got {self.nominal_kN:g} kN")
+
+    def _check_many(self) -> None:
+        if not LEAST_RELIABILITY <= self.probability <= MOST_RELIABILITY:
+            raise PopulationError(
+                f"a reliability of {shown(self.reliability)}; allowed is a share of {LEAST_RELIABILITY:g} to "
+                f"{MOST_RELIABILITY:g}, or beta=0 to beta=3.09 (share Phi(beta)): rarer devices no draws tell of"
+            )
+        if self.connections is not None and not 1 <= self.connections <= MOST_CONNECTIONS:
+            raise PopulationError(f"connections: {self.connections}; allowed are 1 to {MOST_CONNECTIONS}")
+        if self.clamping_cov is not None and not 0 < self.clamping_cov < 1:
+            raise PopulationError(f"a coefficient of variation lies between 0 and 1; got {self.clamping_cov:g}")
+        if self.force_wanted_kN is not None and not 0 < self.force_wanted_kN < math.inf:
+            raise PopulationError(f"a force that is wanted must be above zero; got {self.force_wanted_kN:g} kN")
+
+    @property
+    def probability(self) -> float:
+        """Reliability as the share of devices within a bound; NaN where it is none."""
+        word, _, number = str(self.reliability).replace(" ", "").rpartition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            return math.nan
+        return value if not word else 0.5 * math.erfc(-value / math.sqrt(2.0)) if word == "beta" else math.nan
 
     @property
     def slip_of_drift(self) -> tuple[float, str]:
@@ -277,6 +308,8 @@ LEAST_MM = 20.0
 """Lengths of a storey below it are metres: no storey is 20 mm high, and no arm 20 m long."""
 HEIGHT_MM, ARM_MM = (1000.0, 19_999.0), (20.0, 10_000.0)
 MOST_BRACE_DEG, MOST_MU = 90, 2.0
+LEAST_RELIABILITY, MOST_RELIABILITY = 0.5, 0.999
+MOST_CONNECTIONS = 1000
 
 
 def in_mm(length: float) -> float:

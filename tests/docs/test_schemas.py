@@ -31,6 +31,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
     runs = [p.name for p in write_simulated(folder / "a", TRUTH, seed=3, rate_Hz=3.0) if p.suffix == ".csv"]
     text = 'schema = "shj-bayes/campaign/1"\nname = "c"\n[defaults]\nmax_steps = 200\n[[set]]\nname = "s"\n'
+    text += '[set.connection]\nbolts = 2\ndisplacement = "machine"\n'
     text += f'[[set.device]]\nname = "d"\nrecordings = {json.dumps(runs)}\n'
     text += '[[set.device]]\nname = "gone"\nrecordings = ["gone.csv"]\n'
     (folder / "c.toml").write_text(text, encoding="utf-8")
@@ -65,6 +66,7 @@ def test_fresh_files_are_as_described(results: Path) -> None:
     files += [
         results / "out" / "campaign.json",
         results / "out" / "population.json",
+        results / "out" / "margins.json",
         results / "look" / "diagnosis.json",
         results / "next" / "plan.json",
     ]

@@ -14,6 +14,7 @@ from shj_bayes.margins.export import (
     draws_script,
     exponent_of_steel02,
     link_csv,
+    links_script,
     python_script,
     tcl_script,
 )
@@ -22,8 +23,8 @@ from shj_bayes.recording.motion import Block, exact_motion
 
 HOSTILE = 'brass"; import os #\n[exec rm] {$x}'
 BOUNDS = tuple(
-    Bound(name, bound, K, F, beta, F / 95, 0.6, 2)
-    for name, beta in (("zinc", 10.0), ("bare", 100.0), (HOSTILE, 10.0))
+    Bound(name, bound, K, F, beta, F / 95, 0.6, 2, slip)
+    for name, beta, slip in (("zinc", 10.0, 60.0), ("bare", 100.0, None), (HOSTILE, 10.0, None))
     for bound, K, F in (("lower", 9.0, 50.0), ("middle", 12.0, 80.0), ("upper", 18.0, 110.0))
 )
 AMPLITUDE_MM = 95.0
@@ -94,6 +95,56 @@ def test_opensees_draws_our_loop(script, amplitude):
         assert np.sqrt(np.mean(apart**2)) < MEAN_SQUARE
         energy = [trapezoid(f[steady], x[steady]) for f in (theirs, ours)]
         assert energy[0] == pytest.approx(energy[1], rel=ENERGY)
+
+
+def test_the_slot_ends_in_opensees(script):
+    """Beyond 60 mm of free slip a bearing of 200 kN/mm adds 10 x 200 = 2000 kN at 70 mm, to either side."""
+    ops = opensees()
+    x = 70.0 * np.sin(np.linspace(0.0, 2.0 * np.pi, 2001))
+    free = np.array(script["loop"](ops, "zinc", "lower", x))
+    ops.wipe()
+    script["define_in_slot"](ops, 1, "zinc", "lower", 200.0)
+    ops.testUniaxialMaterial(1)
+    stopped = []
+    for value in x:
+        ops.setStrain(float(value))
+        stopped.append(ops.getStress())
+    added = np.array(stopped) - free
+    assert added[500] == pytest.approx(2000.0, rel=1e-3)
+    assert added[1500] == pytest.approx(-2000.0, rel=1e-3)
+    assert np.abs(added[np.abs(x) < 60.0]).max() < 1e-6
+
+
+@pytest.mark.parametrize("program", ["sap2000", "etabs"])
+def test_links_of_the_csi_programs_are_defined_in_their_units(tmp_path, program):
+    """Plastic (Wen) links along U1; a stated bearing adds a gap and a hook where the free slip is known."""
+    path = tmp_path / "connection_links.py"
+    path.write_text(
+        links_script(BOUNDS, program, "tést\nimport os", ("Stiffness of zinc is that of the device.",)), "utf-8"
+    )
+    script = runpy.run_path(str(path))
+    calls = []
+
+    class Model:
+        PropLink = property(lambda self: self)
+
+        def __getattr__(self, name):
+            return lambda *given: calls.append((name, *given)) or (3 if name == "GetPresentUnits" else [given, 0])
+
+    script["define"](Model(), bearing=200.0)
+    assert calls[:2] == [("GetPresentUnits",), ("SetPresentUnits", 5)]
+    assert calls[-1] == ("SetPresentUnits", 3)
+    wen = next(call for call in calls if call[1:2] == ("1 zinc, upper",))
+    on = [True, False, False, False, False, False]
+    assert wen[0] == "SetPlasticWen"
+    assert wen[2:5] == (on, [False] * 6, on)
+    assert [values[0] for values in wen[5:11]] == pytest.approx([110 / 95, 0.0, 18.0, 110.0, 1e-5, 9.0], abs=0.9)
+    stops = [call for call in calls if call[0] in ("SetGap", "SetHook")]
+    assert len(stops) == 2 * 3  # of zinc alone
+    assert stops[0][7:9] == ([200.0, 0, 0, 0, 0, 0], [60.0, 0, 0, 0, 0, 0])
+    assert "# - Stiffness of zinc is that of the device." in path.read_text("utf-8")
+    with pytest.raises(SystemExit, match="refuses"):
+        script["done"]([1], "zinc")
 
 
 DRAWN = (

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 import shutil
 import time
 from dataclasses import replace
@@ -20,9 +21,11 @@ from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population.device import NO_TAGS, Tags
 from shj_bayes.recording.motion import Block
 from shj_bayes.recording.recording import write_csv
+from shj_bayes.results.campaign import read_campaign
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 HEAD = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 60\n'
+CONNECTION = 'bolts = 2\nbolt_mm = 16\nsurfaces = 2\nclamping_kN = 95.5\nslot_mm = 220\nshim = "Bisalloy 500"'
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +38,8 @@ def campaign(tmp_path_factory):
         names = [write_csv(folder / f"d{number}-{i}.csv", r).name for i, r in enumerate(runs, start=1)]
         if number != 2:
             text += f'[[set]]\nname = "{set_name}"\n'
+        if number == 3:
+            text += f"[set.connection]\n{CONNECTION}\n"
         text += f'[[set.device]]\nname = "device {number}"\nrecordings = {json.dumps(names)}\n'
     (folder / "broken.csv").write_text("time_s,force_kN\n1,2\n2,3\n3,4\n", encoding="utf-8")
     text += '[[set.device]]\nname = "../../broken"\nrecordings = ["broken.csv"]\n'
@@ -52,6 +57,10 @@ def test_good_devices_are_done_and_the_bad_one_is_named(campaign):
     assert not list(out.parent.parent.glob("broken*/fit.json"))
     record = json.loads((out / "campaign.json").read_text(encoding="utf-8"))
     assert [s["name"] for s in record["sets"]] == ["bare", "coated <b>"]
+    assert "connection" not in record["sets"][0]
+    said = {"bolts": 2, "bolt_mm": 16, "surfaces": 2, "clamping_kN": 95.5, "slot_mm": 220, "shim": "Bisalloy 500"}
+    assert record["sets"][1]["connection"] == said
+    assert read_campaign(out).sets[1].connection.travel_mm == 102
     assert len(manifest.devices) == 4
 
 
@@ -402,6 +411,24 @@ def test_a_wrong_way_to_diagnose_is_refused_with_its_line(tmp_path, before, belo
     with pytest.raises(CampaignError) as error:
         read_manifest(path)
     assert words in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ('bolts = "two"', "line 8: set 'a', its connection has bolts = 'two'; it needs a whole number"),
+        ("bolts = 0", "numbers of a connection must lie between 0 and 10000"),
+        ("slot_mm = 14\nbolt_mm = 16", "a slot of 14 mm is no longer than its bolt of 16 mm"),
+        ('displacement = "frame"', 'displacement is measured at the "device" or at the "machine"'),
+        ("bolt = 16", "known are bolts, bolt_mm"),
+    ],
+)
+def test_a_connection_that_cannot_be_is_refused(tmp_path, said, words):
+    path = tmp_path / "m.toml"
+    device = '[[set.device]]\nname = "d"\nrecordings = ["d.csv"]\n'
+    path.write_text(f'{HEAD}[[set]]\nname = "a"\n[set.connection]\n{said}\n{device}', encoding="utf-8")
+    with pytest.raises(CampaignError, match=re.escape(words)):
+        read_manifest(path)
 
 
 def test_a_wrong_way_to_diagnose_is_refused_where_a_campaign_is_run(tmp_path):

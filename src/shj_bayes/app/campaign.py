@@ -280,6 +280,7 @@ def campaign_record(
     """Say what became of the devices of each set."""
     told = ("status", "reason", "verdict", "diagnosis", "diagnosis_reason", "with_set", "with_set_reason")
     sets: dict[str, list[DeviceEntry]] = {}
+    connections = {o.device.set_name: o.device.connection for o in outcomes}
     for o in outcomes:
         words = {word: getattr(o, word) for word in told}
         entry = DeviceEntry(name=o.device.name, folder=o.device.folder, **words)
@@ -289,7 +290,7 @@ def campaign_record(
         name=manifest.name,
         simulated=manifest.simulated or any(o.simulated for o in outcomes),
         warnings=tuple(repeated(inputs)),
-        sets=tuple(SetEntry(name=name, devices=tuple(devices)) for name, devices in sets.items()),
+        sets=tuple(SetEntry(name=n, devices=tuple(own), connection=connections[n]) for n, own in sets.items()),
         together=tuple(together),
     )
 

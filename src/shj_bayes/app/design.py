@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -14,21 +14,23 @@ from shj_bayes._util.files import need_population, shipped, write_text
 from shj_bayes.app.campaign import WRITES, Outcome
 from shj_bayes.app.resume import POOLS, POPULATION, campaign_inputs, design_margins
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.curves import CurveContrast, compare_curves
 from shj_bayes.margins.export import (
+    PROGRAMS,
     bounds,
     draw_devices,
     draws_csv,
     draws_script,
     link_csv,
+    links_script,
     loops,
     python_script,
+    stiffness_words,
     tcl_script,
     write_loops,
 )
 from shj_bayes.margins.files import CHOSEN, Tests, design_table, kept_pool, write_margins, write_workbook
-from shj_bayes.margins.history import LEEWAY, LoadingHistory, left_out_words, loading_history
+from shj_bayes.margins.history import LEEWAY, LoadingHistory, left_out_words, loading_history, untested
 from shj_bayes.margins.row import BANDS, SPREAD, TESTING, TOLERANCE
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins
 from shj_bayes.margins.specimen import (
@@ -41,6 +43,7 @@ from shj_bayes.margins.specimen import (
 )
 from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.options import MarginOptions
+from shj_bayes.planning.protocol import Protocol, ProtocolBlock
 from shj_bayes.population.compare import ROPE, Contrast, compare, members, row_of, strata_of
 from shj_bayes.population.device import PUBLISHED, Claim, common, device_from_fit, published_devices, tested_by_fit
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, QuantityPosterior, fit_population
@@ -48,10 +51,10 @@ from shj_bayes.population.predict import never_tested_words, new_device_table, s
 from shj_bayes.population.results import PopulationRecord, load_population, record_of, safe_cell, write_population
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.campaign_physics import statements
-from shj_bayes.report.margins_page import NOMINAL, band_words, extrapolated_words, holds_words, render_margins, told
+from shj_bayes.report.margins_page import band_words, extrapolated_words, render_margins, shown_cards, told
 from shj_bayes.report.sets import FORCES, SHOWN, contrast_words, curve_words, multiplicity_words, name_of, pairs
 from shj_bayes.report.words import digits
-from shj_bayes.results.campaign import WITH_SET, CampaignRecord, read_campaign
+from shj_bayes.results.campaign import WITH_SET, CampaignRecord, Connection, read_campaign
 from shj_bayes.results.codec import to_json
 from shj_bayes.results.diagnosis import DiagnosisVerdict
 from shj_bayes.results.store import digests, has, made
@@ -319,8 +322,15 @@ def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) ->
     request = replace(request, sets=tuple(named))
     campaign, specimens, words = read_devices(folder, result, request.sets)
     asked = loading_history(request, specimens) if specimens else None
-    tests, design = pool_of_tests(folder, result, specimens, asked, extrapolate=request.extrapolate, progress=progress)
-    sheet = margins(design, tests, request, asked=asked, words=words)
+    connections = connections_of(campaign, result)
+    lifts = lifting_words(asked, specimens, connections)
+    try:
+        tests, design = pool_of_tests(
+            folder, result, specimens, asked, extrapolate=request.extrapolate, progress=progress
+        )
+    except PopulationError as error:
+        raise PopulationError(f"{error}. {lifts}") if lifts else error from error
+    sheet = margins(design, tests, request, asked=asked, words=words, connections=connections, lifts=lifts)
     speed = min(s.ranges["speed"] for s in specimens) if asked is None else float(asked.motion.speed_mm_s.max())
     loop_bands = loops(sheet.tests, speed) if len(sheet.tests) <= MOST_DRAWN else ()
     write_margins(sheet, folder)
@@ -331,7 +341,7 @@ def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) ->
     notes = [f"- {line}" for line in (*sheet.diagnoses, *sheet.warnings)]
     boxed = f"EXTRAPOLATED. {known}" if (known := extrapolated_words(sheet)) else ""
     notes += ["", boxed] if boxed else []
-    lines = [margin_text(sheet, request.importance), "", *notes, "", *two_numbers(sheet)]
+    lines = [margin_text(sheet), "", *notes, "", *two_numbers(sheet)]
     return "\n".join(lines)
 
 
@@ -341,14 +351,18 @@ def export_analysis(
     amplitude_mm: float | None = None,
     draws: int | None = None,
     *,
+    target: str = PROGRAMS[0],
     progress: bool = False,
 ) -> tuple[Path, ...]:
-    """Write the bounds of every set of a folder for structural analysis; by default into ``opensees`` below it.
+    """Write the bounds of every set of a folder for an analysis program; by default into a folder of its name.
 
-    ``connection_materials.py`` and ``.tcl``, ``link-elements.csv``, ``loops.csv`` (bands of the virtual test) and, with
-    draws (new devices of each set for Monte Carlo), ``connection_draws.py`` and ``.csv``. The amplitude is that of the
-    cycle for effective stiffness and damping, the largest tested by default.
+    For OpenSees ``connection_materials.py`` and ``.tcl`` and, with draws (new devices of each set for Monte Carlo),
+    ``connection_draws.py`` and ``.csv``; for SAP2000 and ETABS ``connection_links.py``; for all ``link-elements.csv``
+    and ``loops.csv`` (bands of the virtual test). The amplitude is that of the cycle for effective stiffness and
+    damping, the largest tested by default.
     """
+    if draws is not None and target != PROGRAMS[0]:
+        raise PopulationError("--draws are materials of OpenSees; leave it out, or take --to opensees")
     need_population(folder)
     result = load_population(folder)
     campaign, specimens, _ = read_devices(folder, result)
@@ -359,19 +373,22 @@ def export_analysis(
     if not 0 < amplitude <= LEEWAY * tested:
         raise PopulationError(f"an amplitude of {amplitude:g} mm was not tested; tested was up to {tested:.4g} mm")
     tests, design = pool_of_tests(folder, result, specimens, progress=progress)
-    drawn = bounds(design, result, amplitude)
+    said = connections_of(campaign, result)
+    connections = {name: said.get(name, Connection()) for name in design.set_names}
+    drawn = bounds(design, result, amplitude, connections)
     speed = min(s.ranges["speed"] for s in specimens)
     source = campaign.name if campaign else TABLES_NAME
     devices = () if draws is None else draw_devices(design, result, draws, speed)
-    place = folder / "opensees" if out is None else out
+    place = folder / target if out is None else out
     place.mkdir(parents=True, exist_ok=True)
     cycle = f"{amplitude:.3g} mm"
-    left_out = left_out_words([test.channels for test in tests])
-    files = {
-        "connection_materials.py": python_script(drawn, amplitude, source, left_out),
-        "connection_materials.tcl": tcl_script(drawn, source, left_out),
-        "link-elements.csv": link_csv(drawn, cycle, left_out),
-    }
+    left_out = (*stiffness_words(connections), *left_out_words([test.channels for test in tests]))
+    files = {"link-elements.csv": link_csv(drawn, cycle, left_out)}
+    if target == PROGRAMS[0]:
+        files["connection_materials.py"] = python_script(drawn, amplitude, source, left_out)
+        files["connection_materials.tcl"] = tcl_script(drawn, source, left_out)
+    else:
+        files["connection_links.py"] = links_script(drawn, target, source, left_out)
     if devices:
         files["connection_draws.py"] = draws_script(devices, amplitude, speed, source, left_out)
         files["connection_draws.csv"] = draws_csv(devices, speed)
@@ -410,6 +427,48 @@ def read_devices(
     return campaign, tuple(out), words
 
 
+DEVICES_MORE = 2  # one says nothing of how much devices differ
+CYCLES = 3  # of each speed: the nominal force is that of the third
+
+
+def lifting_words(
+    asked: LoadingHistory | None, specimens: Sequence[Specimen], connections: Mapping[str, Connection]
+) -> str:
+    """Say which tests would let a history stand that leaves what was tested; empty where all was tested."""
+    beyond = {} if asked is None else untested(asked, specimens)
+    if asked is None or not beyond:
+        return ""
+    tested = largest_ranges(specimens)
+    amplitude = rounded_up(float(np.ptp(asked.motion.displacement_mm)) / 2.0)
+    amplitude = max(amplitude, rounded_up(beyond["position"])) if "position" in beyond else amplitude
+    fastest = beyond.get("speed", tested["speed"])
+    speeds = sorted({rounded_up(v) for v in (math.sqrt(tested["speed"] * fastest), fastest)})
+    far = max(beyond.get("travel", 0.0), beyond.get("time", 0.0) * fastest / 2000.0)  # mean speed: about half the peak
+    cycles = max(CYCLES, math.ceil(1000.0 * far / (4.0 * amplitude * len(speeds))))
+    test = Protocol("lifting", tuple(ProtocolBlock(amplitude, speed, cycles) for speed in speeds))
+    narrow = [n for n, one in connections.items() if one.travel_mm is not None and one.travel_mm < amplitude]
+    slot = f"; the slot of {', '.join(narrow)} is too short for it" if narrow else ""
+    return (
+        f"What would lift this: of each set {DEVICES_MORE} devices, {cycles} cycles of {amplitude:g} mm at "
+        f"{' and '.join(f'{speed:g}' for speed in speeds)} mm/s ({test.duration_s:.0f} s and {test.travel_m:.2g} m of "
+        f"sliding a device{slot}); put their recordings into the manifest and run shj-bayes campaign again"
+    )
+
+
+def rounded_up(value: float) -> float:
+    """Next number with two digits."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return float(f"{math.ceil(value / step * (1.0 - 1e-9)) * step:.3g}")
+
+
+def connections_of(campaign: CampaignRecord | None, result: PopulationResult) -> dict[str, Connection]:
+    """Give what the manifest says of the connection of each set; of the published tables what the paper says."""
+    if campaign is not None:
+        return {group.name: group.connection for group in campaign.sets if group.connection}
+    paper = Connection(bolts=2, bolt_mm=16.0, bolt_grade="8.8", surfaces=2, slot_mm=220.0)
+    return {group.name: replace(paper, shim=group.tags.material or None) for group in result.sets}
+
+
 def _places(campaign: CampaignRecord, result: PopulationResult) -> list[tuple[str, str, str, bool]]:
     """Folder, name, set of every device of a campaign in its population, and whether it was fitted with its set's."""
     members = {group.name: group.devices for group in result.sets}
@@ -420,15 +479,35 @@ def _places(campaign: CampaignRecord, result: PopulationResult) -> list[tuple[st
     ]
 
 
-def margin_text(sheet: Sheet, importance: str) -> str:
-    """Design table as text: per set and quantity the new device, EN 1990 and a tolerance limit, then the factors."""
+def card_lines(sheet: Sheet) -> Iterator[str]:
+    """Card of each set as text."""
+    for card in shown_cards(sheet):
+        yield f"{card['name']}"
+        yield from (f"  {head}: {said}" for head, said in card["facts"])
+        yield f"  {'':32}{'drift':>9}{'typical':>9}{'capacity':>9}         {'+-draws':>7}"
+        for line in card["lines"]:
+            low, middle, high = line["values"]
+            numbers = f"{low:>9}{middle:>9}{high:>9} {line['unit']:7} {line['error']:>7}"
+            yield f"  {line['use']:32}{numbers}  {line['clause']}".rstrip()
+        yield from (f"  {head:32}{''.join(f'{cell:>9}' for cell in cells)}" for head, *cells in card["curve"])
+        yield ""
+
+
+LEGEND = (
+    "lowest, highest: smallest plateau and largest force of all runs; least, most: of the first run; plateau: mean; "
+    "third: third cycle; energy: of a cycle of the largest amplitude; _2: second run; ratio: second run / first; "
+    "degradation: 1 - ratio; K: initial stiffness; nu: degrees of freedom of the spread"
+)
+
+
+def margin_text(sheet: Sheet) -> str:
+    """Cards as text, then per set and quantity the new device, EN 1990 and a tolerance limit."""
     table, index = design_table(sheet), sheet.by_key
-    lines = []
+    lines = ["", *card_lines(sheet), LEGEND]
     for name in sheet.spoken:
         shown = "(all devices)" if name == ANY_SET else name
         part = table[table["set"] == shown]
         lines += ["", f"{name_of(name)}: {_behind(sheet, name)}"]
-        lines.append(f"  {first_words(sheet, name)}")
         lines.append(
             f"  {'':16}{'new device':>28}{'EN 1990 X_k':>22}{'EN 1990 X_d':>22}{'95/95 one-sided':>22}{'nu':>7}"
         )
@@ -446,7 +525,6 @@ def margin_text(sheet: Sheet, importance: str) -> str:
             lines.append(f"  (-: {sheet.withheld})")
         elif not complete:
             lines.append("  (-: EN 1990 has no factor for a spread known from fewer than 3 (X_k) or 4 (X_d) devices)")
-        lines += [] if sheet.withheld else [f"  {text}" for text in _factor_lines(sheet, name, importance)]
     if untested := sheet.untested:
         lines += ["", untested]
     return "\n".join(lines[1:])
@@ -455,7 +533,7 @@ def margin_text(sheet: Sheet, importance: str) -> str:
 def two_numbers(sheet: Sheet) -> list[str]:
     """End of the text, where a terminal shows it: the force for drift and the one for capacity design of each set."""
     own = (f"  {name_of(n)}, {_behind(sheet, n)}: {first_words(sheet, n)}" for n in sheet.spoken)
-    head = f"Two numbers of each set, of the devices that were tested, {holds_words(sheet)}, in {sheet.history}"
+    head = f"Two numbers of each set, of the devices that were tested, {sheet.holds}, in {sheet.history}"
     return [f"{head} (ageing is in the ASCE 7 and EN 15129 bounds alone):", *own]
 
 
@@ -472,23 +550,3 @@ def first_words(sheet: Sheet, name: str) -> str:
     own = {row.kind: row for row in sheet.rows if row.set_name == name}
     said = f"{DRIFT}: {told(own[DRIFT])} kN; {CAPACITY}: {told(own[CAPACITY])} kN"
     return f"{said} ({own[DRIFT].warning})" if own[DRIFT].warning else said
-
-
-def _factor_lines(sheet: Sheet, name: str, importance: str) -> list[str]:
-    own = {row.kind: row for row in sheet.rows if row.set_name == name}
-
-    def value(kind: str) -> str:
-        if kind not in own:
-            return "-"
-        return told(own[kind]) + (f" ({own[kind].warning})" if own[kind].warning else "")
-
-    return [
-        f"ASCE 7 lambda {value('lambda_min with the floor for dampers')} to "
-        f"{value('lambda_max with the floor for dampers')}, bounds {value('ASCE 7 lower bound force')} to "
-        f"{value('ASCE 7 upper bound force')} kN; EN 15129 {value(kind_of('LBDP', importance))} to "
-        f"{value(kind_of('UBDP', importance))} kN",
-        f"phi {value('phi equivalent, first run')}, after a first earthquake "
-        f"{value('phi equivalent, after a first earthquake')}, phi_o {value('phi_o equivalent')} "
-        "(NZ practice 0.70 and 1.40)",
-        f"lambda, phi and phi_o are of the nominal {value(NOMINAL)} kN: {own[NOMINAL].formula}",
-    ]

@@ -16,7 +16,7 @@ from shj_bayes.errors import CampaignError, ShjError, did_you_mean, shown
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DIAGNOSES, FitOptions
 from shj_bayes.population.device import NO_TAGS, Tags
-from shj_bayes.results.campaign import SCHEMA
+from shj_bayes.results.campaign import SCHEMA, Connection
 
 MAX_DEVICES = 100_000
 MAX_BYTES = 50_000_000
@@ -40,6 +40,7 @@ def _form(hint: Any) -> tuple[Any, str]:
 
 OPTION_KINDS = {name: _form(hint) for name, hint in get_type_hints(FitOptions).items() if name != "priors_from"}
 TAG_KINDS = {name: _form(hint) for name, hint in get_type_hints(Tags).items()}
+PARTS = {name: _form(hint) for name, hint in get_type_hints(Connection).items()}
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,7 @@ class Device:
     recordings: tuple[Path, ...]  # consecutive runs
     options: FitOptions  # how to read and fit it
     tags: Tags = NO_TAGS  # what makes its set what it is: material, coating, coverage, corroded
+    connection: Connection | None = None  # as tested; None where the manifest does not say
     # "quick", "full", "off": how to look for what the law leaves out: a first look, with the posterior of what is
     # found, or not at all
     diagnose: str = DIAGNOSES[0]
@@ -99,8 +101,8 @@ def _devices(top: _Table) -> Iterator[Device]:
     for group in top.tables("set", "has no [[set]] table; each set needs a name and [[set.device]] tables"):
         set_name = group.text("name")
         at = group._replace(words=f"set '{set_name}'")
-        at.know(("name", "diagnose", "options", "device", *TAG_KINDS), "[set.options]")
-        tags, for_set = at.tags(), at.diagnose(diagnose)
+        at.know(("name", "diagnose", "options", "device", "connection", *TAG_KINDS), "[set.options]")
+        tags, for_set, connection = at.tags(), at.diagnose(diagnose), at.connection()
         members = at.tables("device", "has no [[set.device]] table (mind the double brackets)")
         own = at.options(defaults)
         for member in members:
@@ -115,7 +117,7 @@ def _devices(top: _Table) -> Iterator[Device]:
                 _check(options, len(recordings))
             except ShjError as error:
                 raise here.error(f"cannot be fitted: {error}", "recordings") from error
-            yield Device(name, set_name, recordings, options, tags, here.diagnose(for_set))
+            yield Device(name, set_name, recordings, options, tags, connection, here.diagnose(for_set))
 
 
 # What cannot be read or fitted is refused once for all devices that name it: a thousand share their options.
@@ -194,6 +196,22 @@ class _Table(NamedTuple):
                 raise self.error(f"has coverage_percent = {shown(percent)}; allowed is 0 to 100", "coverage_percent")
             values["coverage_percent"] = float(percent)
         return Tags(**values)
+
+    def connection(self) -> Connection | None:
+        """Read the connection as tested; None where nothing is said of it."""
+        if (entry := self.content.get("connection")) is None:
+            return None
+        place = self._replace(words=f"{self.words}, its connection", content=entry, keys=(*self.keys, "connection"))
+        place.know((*PARTS,), "[set.options]")
+        for key, value in entry.items():
+            kind, words = PARTS[key]
+            if not isinstance(value, kind) or isinstance(value, bool):
+                raise place.error(f"has {key} = {shown(value)}; it needs {words}", key)
+        values: dict[str, Any] = {k: plain_name(v) if isinstance(v, str) else v for k, v in entry.items()}
+        try:
+            return Connection(**values)
+        except ValueError as error:
+            raise place.error(f"cannot be: {error}") from error
 
     def diagnose(self, otherwise: str) -> str:
         """How the devices of the table are to be diagnosed."""

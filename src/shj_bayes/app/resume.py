@@ -127,7 +127,8 @@ def finished_record(folder: Path, key: str) -> tuple[FitRecord | None, str]:
 POPULATION = ("population.csv", "population.json", "population.npz")
 POOLS = ("pool.npz", "pool-history.npz")  # of the tests that devices went through, and of another history
 PAGE = "margins.html"
-MARGINS = ("margins.csv", "margins.xlsx", "margins.json", "margins-devices.csv", "loops.csv", PAGE)
+_OF_MARGINS = (".csv", ".xlsx", ".json", "-devices.csv", "-amplitude.csv")
+MARGINS = (*(f"margins{ending}" for ending in _OF_MARGINS), "loops.csv", PAGE)
 
 
 def design_margins(folder: Path, request: MarginOptions = PLAIN, *, progress: bool = False) -> CommandResult:

@@ -17,7 +17,6 @@ from shj_bayes.population.predict import NewDevice, new_device
 from shj_bayes.population.quantities import HIGHEST, LEAST, LEVELS, LOWEST, MOST, THIRD_CYCLE, FloatArray, stream
 
 FEW = 3
-SIDES = {LOW: 0.05, MIDDLE: 0.5, HIGH: 0.95}
 DEFAULT = "default"
 PredictiveDevices = Mapping[str, NewDevice]
 """New devices of one set by prior of the spread, the default first."""
@@ -41,15 +40,20 @@ def predictive_devices(result: PopulationResult, set_name: str) -> dict[str, New
 
 def _as_read(device: NewDevice, result: PopulationResult) -> NewDevice:
     """Give the draws of design quantities (all of them positive) the error with which those of the set are known."""
-    groups = [group for group in result.sets if device.set_name in (ANY_SET, group.name)] or result.sets
     draws = {}
     for q, values in device.draws.items():
-        errors = np.concatenate([group.errors.get(q, ()) for group in groups])
-        known = errors[np.isfinite(errors)]
         rng = np.random.default_rng(stream(result.seed, "reading", device.set_name, q))
-        error = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
+        error = reading_error(result, device.set_name, q)
         draws[q] = values * np.exp(error * rng.standard_normal(values.size))
     return replace(device, draws=draws)
+
+
+def reading_error(result: PopulationResult, set_name: str, quantity: str) -> float:
+    """Error with which devices of a set are known in a quantity: standard deviation of the logarithm."""
+    groups = [group for group in result.sets if set_name in (ANY_SET, group.name)] or result.sets
+    errors = np.concatenate([group.errors.get(quantity, ()) for group in groups])
+    known = errors[np.isfinite(errors)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
 
 
 def tested_devices(result: PopulationResult, set_name: str) -> dict[str, int]:
@@ -86,14 +90,22 @@ def is_part(lesser: str, greater: str) -> bool:
     return RANK[a] < RANK[b] and of_one_run
 
 
-def force_ends(devices: PredictiveDevices, tested: Mapping[str, int]) -> dict[tuple[str, str], tuple[float, float]]:
+def levels_of(reliability: float) -> dict[str, float]:
+    """Shares of devices below the lower bound, the middle and the upper bound of a force."""
+    return {LOW: round(1.0 - reliability, 12), MIDDLE: 0.5, HIGH: reliability}
+
+
+def force_ends(
+    devices: PredictiveDevices, tested: Mapping[str, int], levels: Mapping[str, float] = SIDES
+) -> dict[tuple[str, str], tuple[float, float]]:
     """Bound every force of a new device such that no part passes the whole: by force and side, value and own value.
 
-    `tested` are the devices behind each. The own value is that of the predictive distribution of the force by itself
-    (few devices: least favourable prior). Of a device the smallest plateau of all runs lies below every other force, so
-    a lower limit of it is one of these as well, and of two limits the nearer one counts; likewise upwards from the
-    largest force of all runs. Limits of the whole rest on the whole itself, but for a run that fewer devices have gone
-    through than there are: what the others would have shown there is not in the whole, so its limit counts too.
+    `tested` are the devices behind each, `levels` the shares of devices below each side. The own value is that of the
+    predictive distribution of the force by itself (few devices: least favourable prior). Of a device the smallest
+    plateau of all runs lies below every other force, so a lower limit of it is one of these as well, and of two limits
+    the nearer one counts; likewise upwards from the largest force of all runs. Limits of the whole rest on the whole
+    itself, but for a run that fewer devices have gone through than there are: what the others would have shown there is
+    not in the whole, so its limit counts too.
     """
     set_name = devices[DEFAULT].set_name
     names = sorted((n for n in devices[DEFAULT].draws if base_of(n) in RANK), key=lambda n: RANK[base_of(n)])
@@ -102,7 +114,7 @@ def force_ends(devices: PredictiveDevices, tested: Mapping[str, int]) -> dict[tu
         by_prior = {label: float(np.quantile(d.draws[name], level)) for label, d in devices.items()}
         return least_favourable(by_prior, side, 0 if set_name == ANY_SET else tested.get(name, 0))
 
-    alone = {side: {n: own(n, side, level) for n in names} for side, level in SIDES.items()}
+    alone = {side: {n: own(n, side, level) for n in names} for side, level in levels.items()}
     low, middle, high = (dict(alone[side]) for side in SIDES)
     for ends, whole, part, outer in ((low, LOWEST, LEAST, min), (high, HIGHEST, MOST, max)):
         fewer = [n for n in names if base_of(n) == part and tested.get(n, 0) < tested.get(whole, 0)]
@@ -141,19 +153,27 @@ NONE = Bounds(1.0, 1.0)
 
 @dataclass(frozen=True)
 class SlidingForceBounds:
-    """Force of a new device of one set, kN."""
+    """Force of a new device of one set, kN; lower and upper ends leave out the share that is `beyond`."""
 
-    # third_low to third_high: 5, 50 and 95 % of the third cycle of the first run
+    # third_low to third_high: lower end, middle and upper end of the third cycle of the first run
     third_low: float
     third: float
     third_high: float
-    first_low: float  # 5 % of the smallest plateau of the first run
+    first_low: float  # lower end of the smallest plateau of the first run
     later_low: float | None  # the same of the later runs; None without any
-    # low, high: 5 % of the smallest plateau and 95 % of the largest force of all runs
+    # low, high: lower end of the smallest plateau and upper end of the largest force of all runs
     low: float
     high: float
     typical: Bounds  # smallest plateau and largest force of a typical device over its third cycle
     ratio: float | None  # second run over first of a typical device, mean plateau
+    # first_high, later_high: upper end of the largest force of the first run, of the later runs
+    first_high: float = math.nan
+    later_high: float | None = None
+    beyond: float = SIDES[LOW]
+
+    def level(self, side: str) -> str:
+        """Per cent of devices below the end of a side."""
+        return f"{100.0 * levels_of(round(1.0 - self.beyond, 12))[side]:.4g}"
 
     @property
     def words(self) -> str:
@@ -165,11 +185,13 @@ class SlidingForceBounds:
         return said + ("; no second run" if self.ratio is None else f"; second run / first {self.ratio:.3f}")
 
 
-def sliding_force_bounds(devices: PredictiveDevices, tested: Mapping[str, int]) -> SlidingForceBounds:
+def sliding_force_bounds(
+    devices: PredictiveDevices, tested: Mapping[str, int], reliability: float = SIDES[HIGH]
+) -> SlidingForceBounds:
     """Bound the force of a new device; `tested` are the devices behind each quantity."""
-    ends = {key: value for key, (value, _) in force_ends(devices, tested).items()}
+    ends = {key: value for key, (value, _) in force_ends(devices, tested, levels_of(reliability)).items()}
     main = devices[DEFAULT].draws
-    later = [ends[n, LOW] for n in main if n.startswith(f"{LEAST}_")]
+    later, most = ([ends[n, s] for n in main if n.startswith(f"{q}_")] for q, s in ((LEAST, LOW), (MOST, HIGH)))
     third = main[THIRD_CYCLE]
     moved = [float(np.median(main[name]) / np.median(third)) for name in (LOWEST, HIGHEST)]
     return SlidingForceBounds(
@@ -182,6 +204,9 @@ def sliding_force_bounds(devices: PredictiveDevices, tested: Mapping[str, int]) 
         high=ends[HIGHEST, HIGH],
         typical=Bounds.around(*moved),
         ratio=float(np.median(main["ratio"])) if "ratio" in main else None,
+        first_high=ends[MOST, HIGH],
+        later_high=max(most, default=None),
+        beyond=round(1.0 - reliability, 12),
     )
 
 
@@ -248,19 +273,21 @@ def design_basis(
     devices: PredictiveDevices,
     stated: tuple[float, str] | None,
     third_mm_s: float,
+    reliability: float = SIDES[HIGH],
 ) -> DesignBasis:
     """Split what is known of a set into the parts that the codes multiply.
 
     `stated` is the nominal force of the user, kN, and what it is, `third_mm_s` the peak speed of the third cycle.
     """
-    force = sliding_force_bounds(devices, tested_devices(result, set_name))
+    force = sliding_force_bounds(devices, tested_devices(result, set_name), reliability)
     own = own_devices(result, set_name, (LOWEST, HIGHEST, THIRD_CYCLE))
     speed = f"at {third_mm_s:.2g} mm/s" if np.isfinite(third_mm_s) else "at a speed that was not tested"
     typical = f"third cycle of a typical device {speed}, first run"
     nominal = (force.third, typical) if stated is None else stated
     errors = {}
     for side, name in ((LOW, LOWEST), (MIDDLE, THIRD_CYCLE), (HIGH, HIGHEST)):
-        ends = {label: quantile_and_error(device.draws[name], SIDES[side]) for label, device in devices.items()}
+        level = levels_of(reliability)[side]
+        ends = {label: quantile_and_error(device.draws[name], level) for label, device in devices.items()}
         value, error = least_favourable(ends, side, own)
         errors[side] = error / value if side != MIDDLE or stated is None else 0.0
     return DesignBasis(*nominal, force, environment(result, set_name), errors)

@@ -10,10 +10,11 @@ mu = muFast - (muFast - muSlow) exp(-r |v|) with r = 1/v, which gives 1.58 of th
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from string import Template
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -39,8 +40,10 @@ from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.predict import N_POINTS, LoopBand, new_device, sets_suffice
 from shj_bayes.population.quantities import LEVELS, FloatArray, band_of
 from shj_bayes.population.results import safe_cell
+from shj_bayes.results.campaign import Connection
 
 LOWER, UPPER = "lower", "upper"
+PROGRAMS = ("opensees", "sap2000", "etabs")
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,9 @@ class Bound:
     """One rate-free definition of a connection."""
 
     set_name: str  # the set, or "(any set)"
-    bound: str  # "lower", "middle", "upper": which of the three analyses it is for
+    # "lower", "middle", "upper": which of the three analyses it is for; "fresh lower", "worn lower" and so on of the
+    # first run and of those after it alone
+    bound: str
     # K_kN_mm to beta: stiffness, sliding force, sharpness of the knee of Eq. (1).
     K_kN_mm: float
     force_kN: float
@@ -57,6 +62,7 @@ class Bound:
     stiffness_kN_mm: float
     damping: float
     n_devices: int  # tested devices
+    slip_mm: float | None = None  # free, from the middle to either end of the slot; None where it is not known
 
     def __post_init__(self) -> None:
         """Refuse what no analysis can take."""
@@ -68,12 +74,18 @@ class Bound:
             )
 
 
-def bounds(design: PopulationResult, parameters: PopulationResult, amplitude_mm: float) -> tuple[Bound, ...]:
-    """Draw up three bounds of every set, from its pooled design quantities and parameters (for the sharpness).
+def bounds(
+    design: PopulationResult,
+    parameters: PopulationResult,
+    amplitude_mm: float,
+    connections: Mapping[str, Connection] = MappingProxyType({}),
+) -> tuple[Bound, ...]:
+    """Draw up the bounds of every set, from its pooled design quantities and parameters (for the sharpness).
 
     Lower: 5 % of the smallest plateau of all runs. Middle: 50 % of the mean plateau of the first run. Upper: 95 % of
-    the largest force of all runs. Stiffness 5, 50 and 95 %; sharpness its middle. Effective stiffness and damping are
-    those of an elastic-plastic loop of the amplitude: F / A and (2/pi)(1 - F / (K A)).
+    the largest force of all runs. Because the force falls with travel, lower and upper of the first run alone (fresh)
+    and of those after it (worn) stand beside them. Stiffness 5, 50 and 95 %; sharpness its middle. Effective
+    stiffness and damping are those of an elastic-plastic loop of the amplitude: F / A and (2/pi)(1 - F / (K A)).
     """
     out = []
     # No material of a set never tested where its band would be all assumption: an analysis would take it for a result.
@@ -87,14 +99,23 @@ def bounds(design: PopulationResult, parameters: PopulationResult, amplitude_mm:
         fit = parameters.fit("beta")
         level = fit.hyper[:, 0] if name == ANY_SET else fit.mu[:, parameters.index(name)]
         beta = float(np.clip(np.exp(np.median(level)), *BETA_RANGE))
-        for i, (bound, side, value) in enumerate(
-            ((LOWER, LOW, force.low), (MIDDLE, MIDDLE, middle), (UPPER, HIGH, force.high))
+        slip = connections.get(name, Connection()).travel_mm
+        for bound, side, value in (
+            (LOWER, LOW, force.low),
+            (MIDDLE, MIDDLE, middle),
+            (UPPER, HIGH, force.high),
+            (f"fresh {LOWER}", LOW, force.first_low),
+            (f"fresh {UPPER}", HIGH, force.first_high),
+            (f"worn {LOWER}", LOW, force.later_low),
+            (f"worn {UPPER}", HIGH, force.later_high),
         ):
-            stiffness = least_favourable({label: band[i] for label, band in bands.items()}, side, own)
-            slip = min(value / (stiffness * amplitude_mm), 1.0)
-            damping = (2.0 / math.pi) * (1.0 - slip)
+            if value is None:
+                continue
+            place = [LOW, MIDDLE, HIGH].index(side)
+            stiffness = least_favourable({label: band[place] for label, band in bands.items()}, side, own)
+            damping = (2.0 / math.pi) * (1.0 - min(value / (stiffness * amplitude_mm), 1.0))
             n = devices[DEFAULT].n_devices
-            out.append(Bound(name, bound, stiffness, value, beta, value / amplitude_mm, damping, n))
+            out.append(Bound(name, bound, stiffness, value, beta, value / amplitude_mm, damping, n, slip))
     return tuple(out)
 
 
@@ -102,7 +123,8 @@ LARGEST_EXPONENT = 20.0
 """Programs with a Wen link refuse, or stumble over, sharper knees than this."""
 HELP = {
     "set": "set of devices; (any set) is one never tested",
-    "bound": "lower, middle or upper: run the lower and the upper analysis at least",
+    "bound": "lower, middle or upper: run the lower and the upper analysis at least; fresh: the first run alone, worn: "
+    "the runs after it, between which the force falls with travel",
     "devices": "tested devices behind the numbers",
     "stiffness_kN_per_mm": "initial (elastic) stiffness of the link along its sliding direction",
     "stiffness_kN_per_m": "the same, where the program wants metres",
@@ -111,6 +133,7 @@ HELP = {
     "wen_exponent": "yielding exponent of a plastic (Wen) link; bilinear links do without",
     "effective_stiffness_kN_per_mm": "secant stiffness of the stated cycle, for linear analysis cases",
     "effective_damping": "equivalent viscous damping ratio of the stated cycle, for linear analysis cases",
+    "free_slip_mm": "from the middle of the slot to either end, where a gap and a hook stop it; empty where not known",
 }
 
 
@@ -145,6 +168,7 @@ def link_table(bounds: Sequence[Bound]) -> pd.DataFrame:
             round(wen_exponent(b.beta), 1),
             float(f"{b.stiffness_kN_mm:.5g}"),
             round(b.damping, 4),
+            b.slip_mm,
         )
         for b in bounds
     ]
@@ -154,7 +178,7 @@ def link_table(bounds: Sequence[Bound]) -> pd.DataFrame:
 def link_csv(bounds: Sequence[Bound], cycle: str, left_out: Sequence[str] = ()) -> str:
     """Table as CSV under its help lines, which start with # (as comments do)."""
     head = [f"# {column}: {words}" for column, words in HELP.items()]
-    head.append(f"# cycle of the last two columns: {cycle}. Not carried: speed, loss of force with travel, slot end.")
+    head.append(f"# cycle of the effective values: {cycle}. Not carried: speed, loss of force with travel.")
     head += [f"# {plain(note)}" for note in left_out]
     return "\n".join(head) + "\n" + link_table(bounds).to_csv(index=False, lineterminator="\n")
 
@@ -168,9 +192,11 @@ NOTES = (
     "Not carried: the speed law. A Steel02 material does not know speed; the forces are those at "
     "the speeds of the test. Nothing is known beyond it.",
     "Not carried: the loss of force from run to run and with travel within an analysis. The lower bound is the "
-    "smallest force of all runs of the test; it serves for a second earthquake.",
-    "Not carried: the jump of Eq. (1) at reversals, slack, stick-slip, and bearing of the bolt at the end of the slot. "
-    "Stop the analysis where the slot ends, or add a gap material there.",
+    "smallest force of all runs of the test. The fresh bounds are of the first run alone, the worn ones of those after "
+    "it: an analysis of a second earthquake lies between them.",
+    "Not carried: the jump of Eq. (1) at reversals, slack, stick-slip.",
+    "Bearing of the bolt at the end of the slot was not tested: stop the analysis where the slot ends, or state a "
+    "stiffness of bearing, which adds a gap to either side where the free slip is known.",
     "Run the lower and the upper bound at least: the lower governs displacement, the upper governs forces.",
 )
 
@@ -199,7 +225,33 @@ def python_script(bounds: Sequence[Bound], amplitude_mm: float, source: str, lef
         f"({b.force_kN:.6g}, {b.K_kN_mm:.6g}, {exponent_of_steel02(b.beta):.6g}),"
         for b in bounds
     )
-    return filled("connection_materials", rows, (*NOTES, *map(plain, left_out)), amplitude_mm, source)
+    slips = "\n".join(f"    {json.dumps(b.set_name)}: {b.slip_mm!r}," for b in bounds if b.bound == LOWER)
+    return filled("connection_materials", rows, (*NOTES, *map(plain, left_out)), amplitude_mm, source, slips=slips)
+
+
+def links_script(bounds: Sequence[Bound], program: str, source: str, left_out: Sequence[str] = ()) -> str:
+    """Script that defines plastic (Wen) links in an open model of SAP2000 or ETABS; arguments as `python_script`."""
+    names = list(dict.fromkeys(b.set_name for b in bounds))  # with their number: two may be alike in plain letters
+    rows = "\n".join(
+        f"    {json.dumps(f'{names.index(b.set_name) + 1} {plain(b.set_name)}, {b.bound}')}: "
+        f"({b.K_kN_mm:.6g}, {b.force_kN:.6g}, {wen_exponent(b.beta):.3g}, {b.stiffness_kN_mm:.6g}, {b.slip_mm!r}),"
+        for b in bounds
+    )
+    notes = (NOTES[0], NOTES[1].replace("A Steel02 material", "A plastic link"), *NOTES[2:], *map(plain, left_out))
+    return filled("connection_links", rows, notes, 0.0, source, program=program)
+
+
+def stiffness_words(connections: Mapping[str, Connection]) -> tuple[str, ...]:
+    """Say of each set whether grips and frame of the testing machine are in its stiffness."""
+    said = {
+        "device": "is that of the device alone, measured across the sliding surfaces",
+        "machine": "has grips and frame of the testing machine in it; the device alone is stiffer",
+        None: "may have grips and frame of the testing machine in it; displacement in set.connection would say",
+    }
+    found: dict[str | None, list[str]] = {}
+    for name, one in connections.items():
+        found.setdefault(one.displacement, []).append(name)
+    return tuple(f"Stiffness of {', '.join(names)} {said[where]}." for where, names in found.items())
 
 
 def filled(name: str, rows: str, notes: Sequence[str], amplitude_mm: float, source: str, **more: str) -> str:
@@ -212,13 +264,13 @@ def filled(name: str, rows: str, notes: Sequence[str], amplitude_mm: float, sour
 
 def tcl_script(bounds: Sequence[Bound], source: str, left_out: Sequence[str] = ()) -> str:
     """Script for OpenSees (Tcl): the same materials by number of set and bound."""
-    names = list(dict.fromkeys(b.set_name for b in bounds))
+    names, slips = list(dict.fromkeys(b.set_name for b in bounds)), {b.set_name: b.slip_mm for b in bounds}
     lines = [f"# Sliding friction connections as OpenSees materials, written by shj-bayes. Source: {plain(source)}."]
     lines += [f"# - {note}" for note in (*NOTES, *map(plain, left_out))]
     lines += ["# Sets:", *(f"#   {i}: {plain(name)}" for i, name in enumerate(names, start=1))]
     lines.append("# frictionMaterial(<number of set>,<bound>): sliding force kN, stiffness kN/mm, R of Steel02")
     for b in bounds:
-        key = f"{names.index(b.set_name) + 1},{b.bound}"
+        key = f"{names.index(b.set_name) + 1},{b.bound.replace(' ', '_')}"
         numbers = f"{b.force_kN:.6g} {b.K_kN_mm:.6g} {exponent_of_steel02(b.beta):.6g}"
         lines.append(f"set frictionMaterial({key}) {{{numbers}}}")
     lines += [
@@ -226,6 +278,16 @@ def tcl_script(bounds: Sequence[Bound], source: str, left_out: Sequence[str] = (
         "    global frictionMaterial",
         "    lassign $frictionMaterial($number,$bound) force stiffness sharpness",
         f"    uniaxialMaterial Steel02 $tag $force $stiffness {HARDENING!r} $sharpness 0.0 0.15",
+        "}",
+        "# slip(<number of set>): free slip to either end of the slot, mm, where it is known",
+        *(f"set slip({i}) {slips[name]:g}" for i, name in enumerate(names, start=1) if slips[name] is not None),
+        "# The same with the ends of the slot, of a stiffness kN/mm that was not tested; takes four tags from tag on",
+        "proc defineFrictionInSlot {tag number bound bearing} {",
+        "    global slip",
+        "    defineFriction [expr $tag + 1] $number $bound",
+        "    uniaxialMaterial ElasticPPGap [expr $tag + 2] $bearing 1e6 $slip($number)",
+        "    uniaxialMaterial ElasticPPGap [expr $tag + 3] $bearing -1e6 [expr -$slip($number)]",
+        "    uniaxialMaterial Parallel $tag [expr $tag + 1] [expr $tag + 2] [expr $tag + 3]",
         "}",
         "# Example: defineFriction 1 1 lower",
     ]
@@ -375,5 +437,5 @@ def draws_script(
         for d in drawn
     )
     rate = f"{1.0 / (MIDDLE_SPEED * speed_mm_s):.6g}"
-    notes = (NOTES[0], *NOTES[2:4], *map(plain, left_out))
+    notes = (NOTES[0], *NOTES[2:5], *map(plain, left_out))
     return filled("connection_draws", rows, notes, amplitude_mm, source, rate=rate)

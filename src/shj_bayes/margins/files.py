@@ -6,27 +6,27 @@ import math
 import re
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
 
 from shj_bayes._util.files import damage_told, replacing, write_text
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Key, Margin
+from shj_bayes.margins.card import SIDES, Card, cards, shown
+from shj_bayes.margins.row import FACTORS, HIGH, LOW, MIDDLE, Margin
 from shj_bayes.margins.sheet import Sheet, pool
-from shj_bayes.margins.spread import BETWEEN, COMMON, KNOWN, UNKNOWN
-from shj_bayes.margins.virtual_test import TABLE, VirtualTestResult
+from shj_bayes.margins.virtual_test import TABLE, CyclePoint, VirtualTestResult, over_amplitude
+from shj_bayes.population.device import RangeTested
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.results import PopulationRecord, draws_of, fits_of, safe_cell
-from shj_bayes.results.codec import from_json
-from shj_bayes.results.codec import to_json as codec_json
+from shj_bayes.results import codec
 from shj_bayes.results.store import digest_of, package, put_back, read_arrays, taken_out, write_arrays
 
 Tests = tuple[VirtualTestResult, ...]
-SCHEMA = "shj-bayes/margins/1"
+SCHEMA: Literal["shj-bayes/margins/1"] = "shj-bayes/margins/1"
 STEM = "margins"
 HEADS = {"set_name": "set", "degrees": "degrees_of_freedom"}
 """Columns whose name in a file says more than the one in the code."""
@@ -43,35 +43,123 @@ def to_table(sheet: Sheet) -> pd.DataFrame:
     return table.rename(columns=HEADS).map(safe_cell)
 
 
+@dataclass(frozen=True, kw_only=True)
+class MarginEntry:
+    """A margin; what cannot be given, or does not apply, is null."""
+
+    set: str
+    quantity: str
+    method: str
+    kind: str
+    side: str
+    value: float | None
+    unit: str
+    n_devices: int
+    degrees_of_freedom: Any  # "known" where they are infinite
+    clause: str
+    formula: str
+    inputs: str
+    purpose: str
+    note: str
+    warning: str
+    monte_carlo_error: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CardEntry:
+    """A line of the card of a set: a use, and the values that serve it."""
+
+    set: str
+    use: str
+    low: float | None
+    middle: float | None
+    high: float | None
+    unit: str
+    clause: str
+    formula: str
+    warning: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarginsRecord:
+    """Content of ``margins.json``."""
+
+    FILE: ClassVar[str] = "margins.json"
+
+    schema: Literal["shj-bayes/margins/1"] = SCHEMA
+    history: str
+    tested: RangeTested | None
+    extrapolated: bool
+    reliability: float
+    facts: Mapping[str, Mapping[str, str]]
+    cards: tuple[CardEntry, ...]
+    warnings: tuple[str, ...]
+    diagnoses: tuple[str, ...]
+    margins: tuple[MarginEntry, ...]
+    over_amplitude: tuple[CyclePoint, ...]
+
+
 def to_json(sheet: Sheet) -> dict[str, Any]:
     """Content of ``margins.json``; infinite degrees of freedom read "known", what does not apply is null."""
-    return {
-        "schema": SCHEMA,
-        "history": sheet.history,
-        "tested": None if sheet.tested is None else asdict(sheet.tested),
-        "extrapolated": sheet.extrapolated,
-        "warnings": list(sheet.warnings),
-        "diagnoses": list(sheet.diagnoses),
-        "margins": [_record(row) for row in sheet.rows],
-    }
+    found = cards(sheet)
+    record = MarginsRecord(
+        history=sheet.history,
+        tested=sheet.tested,
+        extrapolated=sheet.extrapolated,
+        reliability=sheet.reliability,
+        facts={card.set_name: dict(card.facts) for card in found},
+        cards=tuple(line for card in found for line in card_entries(card)),
+        warnings=sheet.warnings,
+        diagnoses=sheet.diagnoses,
+        margins=tuple(map(_entry, sheet.rows)),
+        over_amplitude=over_amplitude(sheet.tests),
+    )
+    written: dict[str, Any] = codec.to_json(record)
+    return written
 
 
-def _record(row: Margin) -> dict[str, Any]:
-    record = {HEADS.get(c, c): value for c, value in vars(row).items()}
-    if math.isinf(row.degrees):
-        record["degrees_of_freedom"] = "known"
-    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in record.items()}
+def _entry(row: Margin) -> MarginEntry:
+    values: dict[str, Any] = {HEADS.get(f.name, f.name): getattr(row, f.name) for f in fields(row)}
+    values["degrees_of_freedom"] = "known" if math.isinf(row.degrees) else row.degrees
+    values |= {k: None for k, v in values.items() if isinstance(v, float) and not math.isfinite(v)}
+    return MarginEntry(**values)
+
+
+def card_entries(card: Card) -> list[CardEntry]:
+    """Lines of a card as records."""
+    out = []
+    for line in card.lines:
+        own = [(side, row) for side, row in zip(SIDES, (line.low, line.middle, line.high), strict=True) if row]
+        values: dict[str, Any] = dict.fromkeys(SIDES)
+        values |= {side: row.value for side, row in own if math.isfinite(row.value)}
+        unit, said = own[0][1].unit, "; ".join(dict.fromkeys(row.formula for _, row in own))
+        warned = "; ".join(dict.fromkeys(row.warning for _, row in own if row.warning))
+        values |= {"unit": unit, "clause": line.clause, "formula": said, "warning": warned}
+        out.append(CardEntry(set=card.set_name, use=line.use, **values))
+    return out
 
 
 def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
     """Write ``margins.csv``, ``.xlsx``, ``.json`` and ``margins-devices.csv`` into a folder that exists."""
     table = to_table(sheet)
-    paths = tuple(folder / f"{STEM}{ending}" for ending in (".csv", ".xlsx", ".json", "-devices.csv"))
+    endings = (".csv", ".xlsx", ".json", "-devices.csv", "-amplitude.csv")
+    paths = tuple(folder / f"{STEM}{ending}" for ending in endings)
     write_text(paths[0], table.to_csv(index=False, lineterminator="\n"))
     _write_excel(sheet, table, paths[1])
     write_text(paths[2], json.dumps(to_json(sheet), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     write_text(paths[3], device_table(sheet).to_csv(index=False, lineterminator="\n"))
+    write_text(paths[4], amplitude_table(sheet).to_csv(index=False, lineterminator="\n"))
     return paths
+
+
+def amplitude_table(sheet: Sheet) -> pd.DataFrame:
+    """Effective stiffness and equivalent viscous damping of the tested devices over the amplitude, run by run."""
+    heads = [f"{name}_{level}" for name in ("stiffness_kN_mm", "damping") for level in ("q05", "q50", "q95")]
+    rows = [
+        (p.set_name, p.n_devices, p.run, p.amplitude_mm, *p.stiffness_kN_mm, *p.damping)
+        for p in over_amplitude(sheet.tests)
+    ]
+    return pd.DataFrame(rows, columns=["set", "devices", "run", "amplitude_mm", *heads]).map(safe_cell)
 
 
 def device_table(sheet: Sheet) -> pd.DataFrame:
@@ -87,11 +175,34 @@ def device_table(sheet: Sheet) -> pd.DataFrame:
 
 
 def _write_excel(sheet: Sheet, table: pd.DataFrame, path: Path) -> None:
-    """One page for design, one with every margin (filter it), one with what to mind."""
+    """Write cards with the factors of the codes, a page for design, every margin (filter it), and what to mind."""
     notes = pd.DataFrame({"to mind": [*sheet.warnings, *sheet.diagnoses] or ["nothing"]})
     write_workbook(
-        {"Design": design_table(sheet).map(safe_cell), "All margins": table, "To mind": notes.map(safe_cell)}, path
+        {
+            "Cards": card_table(sheet).map(safe_cell),
+            "Design": design_table(sheet).map(safe_cell),
+            "Over amplitude": amplitude_table(sheet),
+            "All margins": table,
+            "To mind": notes.map(safe_cell),
+        },
+        path,
     )
+
+
+def card_table(sheet: Sheet) -> pd.DataFrame:
+    """Cards of all sets: what each is, its lines, then every factor of a code that no line has."""
+    lines: list[dict[str, Any]] = []
+    for card in cards(sheet):
+        lines += [{"set": card.set_name, "use": head, "clause": said} for head, said in card.facts]
+        lines += [dict(vars(entry)) for entry in card_entries(card)]
+        told = {row.kind for line in card.lines for row in (line.low, line.middle, line.high) if row}
+        rest = [r for r in sheet.rows if r.set_name == card.set_name and r.method == FACTORS and r.kind not in told]
+        lines += [
+            {"set": card.set_name, "use": r.kind, r.side: r.value, "unit": r.unit, "clause": r.clause,
+             "formula": r.formula, "warning": r.warning}
+            for r in rest
+        ]  # fmt: skip
+    return pd.DataFrame(lines, columns=[f.name for f in fields(CardEntry)])
 
 
 def write_workbook(pages: Mapping[str, pd.DataFrame], path: Path) -> None:
@@ -127,14 +238,6 @@ def _cell(value: Any) -> Any:
 
 
 CHOSEN = ("new device", "EN 1990 characteristic", "EN 1990 design", "tolerance 95/95 one-sided")
-WAYS = (KNOWN, COMMON, UNKNOWN, BETWEEN)
-"""Ways to come by the spread, the one to be shown first."""
-
-
-def shown(index: Mapping[Key, Margin], name: str, quantity: str, kind: str, side: str) -> Margin | None:
-    """Look up a margin, by the first way to come by the spread where there are several."""
-    kinds = (kind, *(f"{kind}, {way}" for way in WAYS))
-    return next((index[name, quantity, k, side] for k in kinds if (name, quantity, k, side) in index), None)
 
 
 def degrees_words(degrees: float) -> str:
@@ -188,7 +291,7 @@ def kept_pool(
         with damage_told(path.name, PopulationError):
             said = json.loads(arrays.pop("said").tobytes())
             if said["rests_on"] == wanted and said["arrays"] == digest_of(arrays):
-                tests = from_json(Tests, put_back(said["tests"], arrays))
+                tests = codec.from_json(Tests, put_back(said["tests"], arrays))
                 fits = fits_of({key: own for key, own in arrays.items() if "/" in key})
                 return tests, pool(tests, result, known=fits)
     except PopulationError:  # missing or damaged
@@ -196,7 +299,7 @@ def kept_pool(
     tests = make()
     design = pool(tests, result, progress=progress)
     arrays = {}
-    said = {"rests_on": wanted, "tests": taken_out(codec_json(tests), arrays)}
+    said = {"rests_on": wanted, "tests": taken_out(codec.to_json(tests), arrays)}
     arrays |= draws_of(design)
     said["arrays"] = digest_of(arrays)
     write_arrays(arrays | {"said": np.frombuffer(json.dumps(said).encode(), np.uint8)}, path)

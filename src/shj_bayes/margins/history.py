@@ -323,6 +323,16 @@ def _beyond(runs: Sequence[History], specimen: Specimen) -> dict[str, float]:
     return {name: value for name, value in reached.items() if value > LEEWAY * specimen.ranges[name]}
 
 
+def untested(asked: LoadingHistory, specimens: Sequence[Specimen]) -> dict[str, float]:
+    """Coordinates in which a history leaves the test of a device and its force depends on them: largest value."""
+    out: dict[str, float] = {}
+    for one in specimens:
+        for name, value in _beyond(one.driven_through(asked.time_s, asked.motion), one).items():
+            if name == "position" or any(depends(belief, one.histories[-1], name) for belief in one.beliefs):
+                out[name] = max(value, out.get(name, 0.0))
+    return out
+
+
 def depends(belief: Belief, history: History, coordinate: str) -> bool:
     """Whether the force of a model changes with a coordinate and nothing else."""
     motion = history.motion

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from shj_bayes.errors import PopulationError
 
 BANDS, TESTING, TOLERANCE, FACTORS = "new device", "EN 1990", "tolerance", "factor"
-DESIGN, SPREAD = "design", "spread"
+DESIGN, SPREAD, USE = "design", "spread", "use"
 LOW, MIDDLE, HIGH = "low", "middle", "high"
 Key = tuple[str, str, str, str]
 """Set, quantity, kind, side."""
@@ -19,7 +19,7 @@ class Margin:
     # a design quantity (lowest, highest, least, most, plateau, third, energy; ``_2`` and so on for later runs), ratio,
     # degradation, K; or force, for what bounds the force of all runs
     quantity: str
-    method: str  # design, new device, EN 1990, tolerance, factor or spread
+    method: str  # design, use, new device, EN 1990, tolerance, factor or spread
     kind: str  # what it is, in a few words
     side: str  # "low", "middle", "high": which side of the typical value it bounds
     value: float  # the number; NaN where it cannot be given, with the reason in ``note``

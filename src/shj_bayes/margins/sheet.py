@@ -25,7 +25,20 @@ from shj_bayes.margins.basis import (
 )
 from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.history import LoadingHistory, channel_words, published_factors
-from shj_bayes.margins.row import BANDS, DESIGN, FACTORS, HIGH, LOW, MIDDLE, SPREAD, TESTING, TOLERANCE, Key, Margin
+from shj_bayes.margins.row import (
+    BANDS,
+    DESIGN,
+    FACTORS,
+    HIGH,
+    LOW,
+    MIDDLE,
+    SPREAD,
+    TESTING,
+    TOLERANCE,
+    USE,
+    Key,
+    Margin,
+)
 from shj_bayes.margins.spread import (
     MORE,
     NOT_NORMAL,
@@ -36,6 +49,7 @@ from shj_bayes.margins.spread import (
     samples,
     spreading_more,
 )
+from shj_bayes.margins.uses import uses
 from shj_bayes.margins.virtual_test import VirtualTestResult
 from shj_bayes.model.parameters import base_of
 from shj_bayes.options import PLAIN, MarginOptions
@@ -44,10 +58,12 @@ from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, QuantityPo
 from shj_bayes.population.predict import never_tested_words, sets_suffice
 from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, THIRD_CYCLE, FloatArray
 from shj_bayes.population.quantities import quantity as described
+from shj_bayes.results.campaign import Connection
 
 POOLED = "partially pooled model, decision 0004"
 OWN_TEST = "the test that each device went through"
 DRIFT, CAPACITY = "for drift and displacement", "for capacity design"
+NOMINAL = "nominal sliding force"
 EXTRAPOLATED = "extrapolated, not tested"
 
 
@@ -84,6 +100,21 @@ class Sheet:
     tests: tuple[VirtualTestResult, ...] = field(repr=False, default=())  # the devices of the sets that it holds
     withheld: str = ""  # why it gives no code values; empty where it does
     fastest_mm_s: float = math.nan  # bounds hold for every peak speed of a stroke from standstill to this one
+    reliability: float = SIDES[HIGH]  # share of new devices within a bound of the force
+    connections: Mapping[str, Connection] = field(repr=False, default_factory=dict)  # as tested, by set
+    lifts: str = ""  # which tests would let an extrapolated history stand
+    together: int | None = None  # connections that act together; None where none were asked for
+
+    @property
+    def share(self) -> str:
+        """Share of new devices within a bound."""
+        return f"{100.0 * self.reliability:.4g} %"
+
+    @property
+    def holds(self) -> str:
+        """For which speeds the two numbers hold."""
+        fastest = f"{self.fastest_mm_s:.3g} mm/s" if self.fastest_mm_s > 0 else "the highest tested"
+        return f"at every speed from standstill to {fastest}"
 
     @property
     def untested(self) -> str:
@@ -148,10 +179,13 @@ def margins(
     *,
     asked: LoadingHistory | None = None,
     words: Sequence[str] = (),
+    connections: Mapping[str, Connection] | None = None,
+    lifts: str = "",
 ) -> Sheet:
     """Draw up the margins of a population from its pooled design quantities and the devices behind it.
 
-    `asked` is the history of the virtual test, None for the devices' own; `words` say what the diagnoses found.
+    `asked` is the history of the virtual test, None for the devices' own; `words` say what the diagnoses found,
+    `connections` what was tested, by set, `lifts` which tests would let a history stand that leaves what was tested.
     """
     n_sets = len(design.sets)
     # Of a set never tested the files keep numbers that are mostly assumption until enough sets were tested.
@@ -163,8 +197,9 @@ def margins(
     tested = math.nan if design.tested is None else design.tested.fastest_mm_s
     fastest = tested if asked is None else max(tested, float(asked.motion.speed_mm_s.max()))
     history = OWN_TEST if asked is None else asked.words
-    rows = tuple(_as_tested(row, history, withheld, laws) for row in _rows(design, own, request))
-    compared, contradictions = agreement([row for row in rows if row.set_name in spoken])
+    said = connections or {}
+    rows = tuple(_as_tested(row, history, withheld, laws) for row in _rows(design, own, request, said))
+    compared, contradictions = agreement([row for row in rows if row.set_name in spoken], request.probability)
     followed = channel_words([test.channels for test in own], own_test=asked is None)
     read = () if asked is None else asked.found
     warnings = (
@@ -174,13 +209,14 @@ def margins(
         *followed,
         compared,
     )
-    return Sheet(
-        rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own, withheld, fastest
-    )
+    head = (rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own, withheld, fastest)
+    return Sheet(*head, request.probability, said, lifts if laws else "", request.connections)
 
 
 def _as_tested(row: Margin, history: str, withheld: str, laws: Sequence[str]) -> Margin:
     """Say of the two numbers what history they are of and whether it was tested; hold code values back if laws part."""
+    if row.method == USE and laws:
+        return replace(row, warning=EXTRAPOLATED)
     if row.method == DESIGN:
         row = replace(row, inputs=f"{history}; {row.inputs}")
         purpose = f"to see how far laws may part ({', '.join(laws)}): no value for design"
@@ -190,16 +226,23 @@ def _as_tested(row: Margin, history: str, withheld: str, laws: Sequence[str]) ->
     return row
 
 
-def _rows(result: PopulationResult, tests: Sequence[VirtualTestResult], request: MarginOptions) -> Iterator[Margin]:
+def _rows(
+    result: PopulationResult,
+    tests: Sequence[VirtualTestResult],
+    request: MarginOptions,
+    connections: Mapping[str, Connection],
+) -> Iterator[Margin]:
     by_set = {group.name: samples(group) for group in result.sets}
     common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in result.posteriors}
     wider = {q: spreading_more({name: s[q] for name, s in by_set.items() if q in s}) for q in result.posteriors}
     for name in request.sets or (*result.set_names, ANY_SET):
         devices = predictive_devices(result, name)
         thirds = [test.third_mm_s for test in tests if name in (ANY_SET, test.set_name)]
-        basis = design_basis(result, name, devices, request.stated_nominal, float(np.median(thirds or [math.nan])))
+        third = float(np.median(thirds or [math.nan]))
+        basis = design_basis(result, name, devices, request.stated_nominal, third, request.probability)
         given = _given(name, by_set, common, basis, request, {q for q, sets in wider.items() if name in sets})
         yield from _first(given)
+        yield from uses(given, result, devices, connections.get(name, Connection()))
         found = list(bands_of_set(result, name, devices, given.devices))
         found += [row for code in catalogue() for row in code.rows(given)]
         yield from found
@@ -250,11 +293,12 @@ def _first(given: Given) -> Iterator[Margin]:
     force = given.basis.force
     n = given.devices.get(LOWEST, 0)
     for kind, side, value, what in (
-        (DRIFT, LOW, force.low, "5 % of the smallest plateau force of all runs (quantity lowest), at any speed"),
-        (CAPACITY, HIGH, force.high, "95 % of the largest force of all runs (quantity highest), at any speed"),
+        (DRIFT, LOW, force.low, "smallest plateau force of all runs (quantity lowest), at any speed"),
+        (CAPACITY, HIGH, force.high, "largest force of all runs (quantity highest), at any speed"),
     ):
         purpose = PURPOSE[side] + SERVICE.get((side, LOWEST), "")
-        origin = ("predictive distribution, decision 0006", what, force.words, purpose)
+        said = f"{force.level(side)} % of the {what}"
+        origin = ("predictive distribution, decision 0006", said, force.words, purpose)
         age = f"as tested: ageing is in the ASCE 7 and EN 15129 bounds alone ({given.basis.age.words})"
         row = Margin(given.set_name, "force", DESIGN, kind, side, value, "kN", n, math.nan, *origin, age)
         yield replace(row, monte_carlo_error=value * given.basis.errors[side])
@@ -397,7 +441,8 @@ def _few_devices(result: PopulationResult, spoken: Sequence[str]) -> Iterator[st
         which = f"{few} of {len(counts)} sets rest" if len(counts) > 1 else "The set rests"
         yield (
             f"{which} on one or two devices. The smallest and largest of two hold 90 % "
-            "of all devices with a confidence of only 1 %: two devices are not a band."
+            "of all devices with a confidence of only 1 %: two devices are not a band. Three devices of a "
+            "set, tested alike, give EN 1990 X_k from their own spread, four X_d as well."
         )
 
 
@@ -405,13 +450,15 @@ SLACK = 0.02
 """Share of the typical value by which two numbers may differ before they count as contradicting: noise of draws."""
 
 
-def agreement(rows: Sequence[Margin]) -> tuple[str, tuple[str, ...]]:
+def agreement(rows: Sequence[Margin], reliability: float = SIDES[HIGH]) -> tuple[str, tuple[str, ...]]:
     """Compare the bounds of every set with each other and with the bands of a new device.
 
+    Bounds of another reliability than that of the bands are held against them on the side on which they must lie.
     Gives what was compared, in words, and every contradiction in a sentence with both numbers.
     """
     names = list(dict.fromkeys(row.set_name for row in rows))
-    found = [text for name in names for text in _disagreements(name, [row for row in rows if row.set_name == name])]
+    by_set = {name: [row for row in rows if row.set_name == name] for name in names}
+    found = [text for name, own in by_set.items() for text in _disagreements(name, own, reliability)]
     sets = f"{len(names)} set{'s' * (len(names) != 1)}"
     words = (
         f"Compared in {sets}: the two numbers with the 5 % end of the smallest plateau and the 95 % end of the largest "
@@ -424,17 +471,19 @@ def agreement(rows: Sequence[Margin]) -> tuple[str, tuple[str, ...]]:
     return words, tuple(found)
 
 
-def _disagreements(name: str, rows: Sequence[Margin]) -> Iterator[str]:
+def _disagreements(name: str, rows: Sequence[Margin], reliability: float) -> Iterator[str]:
     forces = [row for row in rows if row.method in (FACTORS, DESIGN) and row.unit == "kN"]
     lower, upper = ([row for row in forces if row.side == side] for side in (LOW, HIGH))
     scale = max((abs(row.value) for row in rows if row.quantity == "third" and row.side == MIDDLE), default=0.0)
     ends = [row for row in rows if row.method == BANDS and base_of(row.quantity) in RANK]
     lows, highs = ([row for row in ends if row.side == side] for side in (LOW, HIGH))
-    pairs = [(bound, end) for bound in lower for end in (*lows, *upper)]
-    pairs += [(end, bound) for bound in upper for end in highs]
+    rarer = reliability >= SIDES[HIGH]
+    pairs = [(bound, end) for bound in lower for end in (*(lows if rarer else ()), *upper)]
+    pairs += [(end, bound) for bound in upper for end in (highs if rarer else ())]
     pairs += [(a, b) for a in ends for b in ends if a.side == b.side and is_part(a.quantity, b.quantity)]
     own = {(LOWEST, LOW), (HIGHEST, HIGH)}  # the two numbers are what they are said to be
-    same = [(row, e) for row in forces if row.method == DESIGN for e in ends if (e.quantity, e.side) in own]
+    two = [row for row in forces if row.method == DESIGN and reliability == SIDES[HIGH]]
+    same = [(row, e) for row in two for e in ends if (e.quantity, e.side) in own]
     pairs += [p for row, e in same if row.side == e.side for p in ((row, e), (e, row))]
     for lesser, greater in dict.fromkeys(pairs):
         yield from _above(name, lesser, greater, scale)

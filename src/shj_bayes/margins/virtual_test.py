@@ -21,7 +21,7 @@ from shj_bayes.margins.specimen import Belief, Specimen, drive
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray, base_of, run_name
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
-from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST, Likelihood, Measurement, band_of
+from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST, Band, Likelihood, Measurement, band_of
 from shj_bayes.recording.motion import Block, Motion, exact_motion
 
 MIDDLE = 0.25
@@ -227,6 +227,7 @@ class VirtualTestResult:
     channels: tuple[MeasuredChannel, ...] = ()  # further channels that its force follows
     laws_apart: float = 1.0  # greatest over least of a bounding force by the laws of what was not tested
     third_mm_s: float = np.nan  # peak speed of the third cycle of the first run, which the nominal force is of
+    own: tuple[Readings, ...] = field(repr=False, default=())  # of its own test, run by run, by its best model
 
     def __post_init__(self) -> None:
         """Refuse a value without a logarithm."""
@@ -398,7 +399,56 @@ def _result(
     (first, *_) = next(iter(found.values()))[0]
     slides = _counted(first, least)
     third = float(first.peak_mm_s[slides[min(2 * THIRD, slides.size - 1)]]) if len(laws) == 1 else np.nan
-    return VirtualTestResult(*told, measured_channels(specimen), apart, third)
+    return VirtualTestResult(*told, measured_channels(specimen), apart, third, own)
+
+
+STEP = 1.05
+"""Greatest over least amplitude of half-cycles that make one point of the curve over amplitude."""
+
+
+@dataclass(frozen=True)
+class CyclePoint:
+    """Cycles of one amplitude in the tests of a set, as displacement-based design takes them: 5, 50 and 95 %."""
+
+    set_name: str
+    n_devices: int
+    run: int  # 1: first event, 2: second event
+    amplitude_mm: float
+    stiffness_kN_mm: Band  # effective: force at the end of the stroke over the amplitude
+    damping: Band  # equivalent viscous: E / (2 pi k A^2), E the energy of a cycle
+
+
+def over_amplitude(tests: Sequence[VirtualTestResult]) -> tuple[CyclePoint, ...]:
+    """Effective stiffness and damping over the amplitude, of the tested devices in their own tests, run by run.
+
+    Points are those amplitudes that every device of a set went through; the band is over devices and what is not known
+    of each.
+    """
+    out = []
+    for name in dict.fromkeys(test.set_name for test in tests):
+        own = [test.own for test in tests if test.set_name == name]
+        for run, readings in enumerate(zip(*own, strict=False), start=1):
+            every = np.sort(np.concatenate([one.amplitude_mm[one.complete] for one in readings]))
+            while every.size:
+                low, high = every[0] * (1.0 - 1e-9), every[0] * STEP
+                chosen = [one.complete & (one.amplitude_mm >= low) & (one.amplitude_mm <= high) for one in readings]
+                every = every[every > high]
+                if all(part.sum() > 1 for part in chosen):  # a push and a pull: strokes from block to block are none
+                    found = [_cycle(one, part) for one, part in zip(readings, chosen, strict=True)]
+                    amplitude = float(
+                        np.mean([one.amplitude_mm[p].mean() for one, p in zip(readings, chosen, strict=True)])
+                    )
+                    bands = (band_of(np.concatenate(values)) for values in zip(*found, strict=True))
+                    out.append(CyclePoint(name, len(own), run, amplitude, *bands))
+    return tuple(out)
+
+
+def _cycle(readings: Readings, chosen: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Effective stiffness and damping of some half-cycles, each of shape (m,)."""
+    amplitude = float(readings.amplitude_mm[chosen].mean())
+    stiffness = np.maximum(readings.end_kN[:, chosen].mean(axis=1), 1e-9) / amplitude
+    energy = 2000.0 * readings.work_kJ[:, chosen].mean(axis=1)
+    return stiffness, energy / (2.0 * np.pi * stiffness * amplitude**2)
 
 
 def _middle_and_sd(draws: FloatArray) -> tuple[float, float]:

@@ -5,11 +5,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from shj_bayes.margins.card import CardLine, cards, shown
 from shj_bayes.margins.codes.en15129 import kind_of
-from shj_bayes.margins.files import degrees_words, shown
+from shj_bayes.margins.files import degrees_words
 from shj_bayes.margins.history import published_factors
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE, SPREAD, Key, Margin
-from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet
+from shj_bayes.margins.row import DESIGN, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
+from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet
+from shj_bayes.margins.virtual_test import STEP, CyclePoint, over_amplitude
 from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.predict import LoopBand
 from shj_bayes.report.page import write_page
@@ -17,6 +19,7 @@ from shj_bayes.report.sets import name_of
 from shj_bayes.report.words import digits
 
 MAX_SETS = 16
+MOST_POINTS = 7  # amplitudes of a card
 BANDS = (
     ("least", "smallest plateau, first run", "kN"),
     ("most", "largest force, first run", "kN"),
@@ -32,7 +35,6 @@ TESTED = (
     ("tolerance 95/95 one-sided, lognormal", "95/95", "ISO 16269-6"),
     ("tolerance 90/95 two-sided, lognormal", "90/95 both", "ISO 16269-6"),
 )
-NOMINAL = "nominal sliding force"
 FACTORS = (
     NOMINAL,
     "lambda_spec,min",
@@ -86,6 +88,45 @@ def set_table(sheet: Sheet, importance: str) -> list[dict[str, Any]]:
 def told(margin: Margin, factor: float = 1.0) -> str:
     """Value of a margin, times a factor, with the digits that other draws give as well."""
     return digits(margin.value * factor, margin.monte_carlo_error * factor)
+
+
+def shown_cards(sheet: Sheet) -> list[dict[str, Any]]:
+    """Give the cards as texts: name, what it is, lines, and stiffness and damping over the amplitude."""
+    points = over_amplitude(sheet.tests)
+    return [
+        {
+            "name": name_of(card.set_name),
+            "facts": card.facts,
+            "lines": [line_words(line) for line in card.lines],
+            "curve": curve_rows([p for p in points if p.set_name == card.set_name]),
+        }
+        for card in cards(sheet)
+    ]
+
+
+def curve_rows(points: Sequence[CyclePoint]) -> list[list[str]]:
+    """Effective stiffness and damping over the amplitude of one set: rows of a head and a cell for each amplitude."""
+    runs = [[p for p in points if p.run == run] for run in sorted({p.run for p in points})]
+    if not runs:
+        return []
+    amplitudes = [p.amplitude_mm for p in runs[0]][:: -(len(runs[0]) // MOST_POINTS + 1)][::-1]
+    rows = [["slip amplitude, mm", *map(digits, amplitudes)]]
+    for run, event in zip(runs, ("first event", "second event", "third event"), strict=False):
+        at = [next((p for p in run if abs(p.amplitude_mm / a - 1.0) < STEP - 1.0), None) for a in amplitudes]
+        rows.append([f"k_eff, {event}, kN/mm", *(digits(p.stiffness_kN_mm[1]) if p else "" for p in at)])
+        rows.append([f"damping, {event}, %", *(digits(100.0 * p.damping[1]) if p else "" for p in at)])
+    return rows
+
+
+def line_words(line: CardLine) -> dict[str, Any]:
+    """Give a line of a card as texts: use, values, unit, largest error from the draws, clause with what to mind."""
+    rows = [row for row in (line.low, line.middle, line.high) if row]
+    values = [told(row) if row else "" for row in (line.low, line.middle, line.high)]
+    notes = [line.clause, *(row.warning for row in rows if row.warning)]
+    unit, error = "" if rows[0].unit == "1" else rows[0].unit, max(row.monte_carlo_error for row in rows)
+    clause = "; ".join(filter(None, dict.fromkeys(notes)))
+    said = {"use": line.use, "values": values, "unit": unit, "error": f"{error:.1g}" if error else "", "clause": clause}
+    return said | {"main": rows[0].method == DESIGN}
 
 
 def band_words(index: Mapping[Key, Margin], name: str, quantity: str, factor: float = 1.0) -> list[str]:
@@ -170,6 +211,7 @@ def render_margins(
 
     `loops`, bands of the loop of a new device, are drawn where the sheet has room, that is for few sets.
     """
+    few = len(shown_sets(sheet)) <= FEW_SETS
     content: dict[str, Any] = {
         "name": name,
         "simulated": simulated,
@@ -184,13 +226,14 @@ def render_margins(
         "importance": importance,
         "left_out": max(0, len(tested_sets(sheet.spoken)) - MAX_SETS),
         "never": ANY_SET,
-        "few": len(shown_sets(sheet)) <= FEW_SETS,
+        "few": few,
         "far": published_factors(FAR_SPEED),
         "coverage": ", ".join(f"{100 * c:.1f} % with {n}" for n, c in COVERAGE.items()),
         "sheet": sheet,
         "told": told,
         "extrapolated": extrapolated_words(sheet),
-        "holds": holds_words(sheet),
+        "holds": sheet.holds,
+        "cards": shown_cards(sheet) if few else [],
         "loops": _pictures(loops),
     }
     return write_page(folder, "margins.html", content)
@@ -206,13 +249,8 @@ def extrapolated_words(sheet: Sheet) -> str:
         f"bounded ({', '.join(laws)}); nobody knows which of them, if any, holds. They are no values for design: test "
         "at that speed, travel or time."
     )
-    return f"{said} Code values are {sheet.withheld}." if sheet.withheld else said
-
-
-def holds_words(sheet: Sheet) -> str:
-    """Say for which speeds the two numbers hold."""
-    fastest = sheet.fastest_mm_s
-    return f"at every speed from standstill to {f'{fastest:.3g} mm/s' if fastest > 0 else 'the highest tested'}"
+    said += f" Code values are {sheet.withheld}." if sheet.withheld else ""
+    return f"{said} {sheet.lifts}." if sheet.lifts else said
 
 
 def _pictures(loops: Sequence[LoopBand]) -> dict[str, str]:

@@ -2,17 +2,18 @@
 
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from shj_bayes.errors import ReportError, ShjError, shown
 from shj_bayes.results import store
-from shj_bayes.results.codec import Probability
+from shj_bayes.results.codec import IF_KNOWN, Probability
 from shj_bayes.results.diagnosis import DependenceId, DiagnosisVerdict
 from shj_bayes.results.fit import USABLE, Trust
 
 SCHEMA: Literal["shj-bayes/campaign/1"] = "shj-bayes/campaign/1"
+LARGEST = 1e4  # number of a connection, in mm, kN or pieces
 LIKELY = 0.5  # a device is given what more probably than not it has
 WITH_SET = "with-set"  # in the folder of a device: its fit with its set's physics
 
@@ -38,11 +39,43 @@ class DeviceEntry:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Connection:
+    """One connection as tested, as far as the manifest says it of a set."""
+
+    bolts: int | None = field(default=None, metadata=IF_KNOWN)  # clamp the sliding surfaces
+    bolt_mm: float | None = field(default=None, metadata=IF_KNOWN)  # diameter of one
+    bolt_grade: str | None = field(default=None, metadata=IF_KNOWN)
+    surfaces: int | None = field(default=None, metadata=IF_KNOWN)  # that slide, of each bolt
+    clamping_kN: float | None = field(default=None, metadata=IF_KNOWN)  # of one bolt
+    shim: str | None = field(default=None, metadata=IF_KNOWN)
+    finish: str | None = field(default=None, metadata=IF_KNOWN)  # of the sliding surfaces
+    slot_mm: float | None = field(default=None, metadata=IF_KNOWN)  # length of the slot
+    # "device": measured across the sliding surfaces; "machine": with grips and frame, whose flexibility is then in K
+    displacement: Annotated[str | None, {"enum": ("device", "machine", None)}] = field(default=None, metadata=IF_KNOWN)
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that no connection has."""
+        numbers = (self.bolts, self.bolt_mm, self.surfaces, self.clamping_kN, self.slot_mm)
+        if not all(0 < x < LARGEST for x in numbers if x is not None):
+            raise ValueError(f"numbers of a connection must lie between 0 and {LARGEST:g}")
+        if (self.travel_mm or 1.0) <= 0:
+            raise ValueError(f"a slot of {self.slot_mm:g} mm is no longer than its bolt of {self.bolt_mm:g} mm")
+        if self.displacement not in ("device", "machine", None):
+            raise ValueError('displacement is measured at the "device" or at the "machine"')
+
+    @property
+    def travel_mm(self) -> float | None:
+        """Free travel from the middle of the slot to either end; None where slot or bolt are not known."""
+        return None if self.slot_mm is None or self.bolt_mm is None else 0.5 * (self.slot_mm - self.bolt_mm)
+
+
+@dataclass(frozen=True, kw_only=True)
 class SetEntry:
     """A set and its devices."""
 
     name: str
     devices: tuple[DeviceEntry, ...]
+    connection: Connection | None = field(default=None, metadata=IF_KNOWN)
 
 
 @dataclass(frozen=True, kw_only=True)

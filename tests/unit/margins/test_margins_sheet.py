@@ -208,7 +208,8 @@ def test_tested_range_is_what_all_devices_saw():
 
 def test_files_hold_the_same_numbers_and_no_formulas(sheet, tmp_path):
     paths = write_margins(sheet, tmp_path)
-    assert [p.name for p in paths] == ["margins.csv", "margins.xlsx", "margins.json", "margins-devices.csv"]
+    endings = (".csv", ".xlsx", ".json", "-devices.csv", "-amplitude.csv")
+    assert [p.name for p in paths] == [f"margins{ending}" for ending in endings]
     document = json.loads(paths[2].read_text(encoding="utf-8"))
     assert document["schema"] == "shj-bayes/margins/1"
     assert len(document["margins"]) == len(sheet.rows)
@@ -216,7 +217,7 @@ def test_files_hold_the_same_numbers_and_no_formulas(sheet, tmp_path):
     cells = paths[0].read_text(encoding="utf-8").replace(",", "\n").splitlines()
     assert not any(cell.lstrip('"').startswith(("=", "+", "@")) for cell in cells)
     book = openpyxl.load_workbook(paths[1])
-    assert book.sheetnames == ["Design", "All margins", "To mind"]
+    assert book.sheetnames == ["Cards", "Design", "Over amplitude", "All margins", "To mind"]
     assert book["All margins"].max_row == len(sheet.rows) + 1
     assert all(cell.data_type != "f" for page in book for row in page.iter_rows() for cell in row)
     assert b">2000-01-01T00:00:00Z<" in zipfile.ZipFile(paths[1]).read("docProps/core.xml")  # the time is not told

@@ -44,7 +44,12 @@ class Made:
 
 
 def make(
-    key: Key, *, heldout: bool = False, effects: Sequence[Concealed] | None = None, then: Sequence[Course] = ()
+    key: Key,
+    *,
+    heldout: bool = False,
+    effects: Sequence[Concealed] | None = None,
+    then: Sequence[Course] = (),
+    speed_share: float = 1.0,
 ) -> list[Made]:
     """Make the recordings of a trial.
 
@@ -58,6 +63,8 @@ def make(
         In place of the key's own: none gives the same rig without what is concealed.
     then : sequence of Course
         Runs that follow the first in the place of the second one, at its sliding force.
+    speed_share : float
+        Share of the speed that the device feels: 0 for the same strokes next to standstill.
 
     Returns
     -------
@@ -78,16 +85,16 @@ def make(
     parts = [known[one.id].act(rigs, one.size, one.shape, key.device) for one in chosen]
     out = []
     for run, (drive, stream) in enumerate(zip(rigs, noise.spawn(max(N_RUNS + 1, len(courses))), strict=False)):
-        force = _at_the_cell(drive, key, join([part[run] for part in parts]))
+        force = _at_the_cell(drive, key, join([part[run] for part in parts]), speed_share)
         out.append(_record(drive.course, force, key, np.random.default_rng(stream), f"run{run + 1}.csv"))
     return out
 
 
-def _at_the_cell(drive: Drive, key: Key, acts: Acts) -> FloatArray:
+def _at_the_cell(drive: Drive, key: Key, acts: Acts, speed_share: float) -> FloatArray:
     """Force channel on the fine grid, without noise, kN."""
     device: Device = key.device
     force = rate_free(drive, device, acts)
-    force = force * (1.0 + (device.gamma + acts.speed_per_mm_s) * drive.speed) + acts.added_kN
+    force = force * (1.0 + (device.gamma + acts.speed_per_mm_s) * speed_share * drive.speed) + acts.added_kN
     if acts.filter_s > 0:
         force = two_poles(force, drive.dt, acts.filter_s)
     late = acts.delay_s + key.nuisance.lag_s

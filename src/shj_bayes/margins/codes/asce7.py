@@ -64,12 +64,12 @@ def _of_bound(given: Given, side: str, factors: Sequence[float]) -> Iterator[Mar
     basis, force, nominal = given.basis, given.basis.force, given.basis.nominal_kN
     spec, test, age, both, final = factors
     if side == LOW:
-        word, bound, level, what, floor = "min", "lower", 5, "smallest plateau", "not above"
+        word, bound, what, floor = "min", "lower", "smallest plateau", "not above"
         reached, third, sign = force.low, force.third_low, "1 - 0.75 (1 - ae)"
     else:
-        word, bound, level, what, floor = "max", "upper", 95, "largest force", "not below"
+        word, bound, what, floor = "max", "upper", "largest force", "not below"
         reached, third, sign = force.high, force.third_high, "1 + 0.75 (ae - 1)"
-    limit = FLOOR[side == HIGH]
+    limit, level = FLOOR[side == HIGH], force.level(side)
     rows = (
         (f"lambda_spec,{word}", spec, f"{level} % of a new device, third cycle of the first run / nominal",
          ("1", f"{force.third_low:.4g} to {force.third_high:.4g} kN", "manufacturing: device to device"), CLAUSE),

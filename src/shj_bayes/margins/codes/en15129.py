@@ -53,7 +53,7 @@ def _rows(given: Given) -> Iterator[Margin]:
         origin = (
             "EN 15129; EN 1998-2 Annex J",
             "X x lambda_f1; travel (f4) and speed are in X as measured, psi on what was not measured",
-            f"X = {supply:.4g} kN, {'5' if side == LOW else '95'} % of the {what} of all runs ({basis.force.words}); "
+            f"X = {supply:.4g} kN, {basis.force.level(side)} % of the {what} of all runs ({basis.force.words}); "
             f"ageing {factor:.3f} ({basis.age.words}); psi = {COMBINATION[importance]:g}",
             f"{'lower' if side == LOW else 'upper'} bound design property, one of two analyses",
             "temperature and contamination were not tested and stand as 1",

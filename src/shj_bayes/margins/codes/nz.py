@@ -49,7 +49,7 @@ def _rows(given: Given) -> Iterator[Margin]:
     purpose = "overstrength: capacity design of beam, column and welds"
     found.append(("phi_o equivalent", HIGH, phi_o, force.high, purpose))
     for kind, side, value, force_kN, purpose in found:
-        formula = f"{'5' if side == LOW else '95'} % of the delivered force / nominal"
+        formula = f"{force.level(side)} % of the delivered force / nominal"
         inputs = f"{force_kN:.4g} kN, nominal {nominal:.4g} kN ({basis.nominal_words}); {force.words}"
         note = f"practice for hardened shims: phi {PRACTICE_PHI:.2f}, phi_o {PRACTICE_PHI_O:.2f}"
         origin = ("NZ practice for sliding hinge joints", formula, inputs, purpose, note, warning(value, side))
