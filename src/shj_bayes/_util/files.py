@@ -116,7 +116,7 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def damage_told(what: str, error: type[ShjError]) -> Iterator[None]:
-    """Turn what the content of a damaged or hand-made file makes our own code raise into one line that names it.
+    """Raise one line that names the file where damaged or hand-made content makes our own code fail.
 
     Files that carry digests never come so far; those of earlier versions, or made by hand, may lack anything.
     """
@@ -218,7 +218,7 @@ def read_json(path: Path, error: type[ShjError]) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Value from JSON whose texts are plain, those of keys, too."""
+    """Value from JSON with plain texts, keys too."""
     if isinstance(value, str):
         return plain_lines(value)
     if isinstance(value, dict):
@@ -237,8 +237,8 @@ def read_toml(path: Path, schema: str, max_bytes: int, error: type[ShjError]) ->
     except (ValueError, RecursionError, AttributeError, KeyError) as problem:  # the last two: bugs of tomllib 3.11
         raise error(f"{path.name} is not valid TOML: {problem}; correct that place") from problem
     if table.get("schema") != schema:
-        shown = repr(table.get("schema"))[:80]
-        raise error(f"{path.name}: schema is {shown}; this version reads {schema!r}; write that, or update shj-bayes")
+        stated = repr(table.get("schema"))[:80]
+        raise error(f"{path.name}: schema is {stated}; this version reads {schema!r}; write that, or update shj-bayes")
     return table, hashlib.sha256(raw).hexdigest()
 
 
@@ -325,7 +325,7 @@ T = TypeVar("T")
 
 
 def alone_in(parameter: str, kept: str = "") -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Decorate a function that writes into a folder, one of its parameters: it does so `alone`, or raises as that.
+    """Decorate a function that writes into the folder a parameter names: it holds that `alone`, or raises as `alone`.
 
     `kept` is a file of a finished result; where it is there, the folder may be one that cannot be written into.
     """
@@ -354,17 +354,17 @@ def alone(folder: Path, kept: str = "") -> Iterator[None]:
     made = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        stream = _locked(folder / LOCK)
+        handle = _locked(folder / LOCK)
     except OSError as error:
         if kept and (folder / kept).exists():
-            stream = None
+            handle = None
         else:
             raise OSError(error.errno, os.strerror(error.errno or errno.EIO), str(folder)) from error
     try:
         yield
     finally:
-        if stream is not None:
-            _release(stream, folder / LOCK)
+        if handle is not None:
+            _release(handle, folder / LOCK)
         with suppress(OSError):
             for place in made:
                 place.rmdir()
@@ -374,53 +374,53 @@ def _locked(path: Path) -> int | None:
     """Descriptor of the locked file, with who holds it written into it; None where there are no locks."""
     flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     while True:
-        stream = os.open(path, flags, 0o666)
-        status = os.fstat(stream)
+        handle = os.open(path, flags, 0o666)
+        status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:  # what is written here would be another file's
-            os.close(stream)
+            os.close(handle)
             raise ShjError(
                 f"{path.name} in {path.parent.name} is no file of its own but a pipe, a device or a further name of "
                 "another file; take it away, or choose another folder with -o"
             )
         try:
-            _lock(stream)
-            there = os.fstat(stream).st_ino == path.stat().st_ino  # else its holder took it away meanwhile
+            _lock(handle)
+            there = os.fstat(handle).st_ino == path.stat().st_ino  # else its holder took it away meanwhile
         except FileNotFoundError:
             there = False
         except OSError as error:
             if error.errno not in _BUSY:
-                os.close(stream)
+                os.close(handle)
                 path.unlink(missing_ok=True)
                 return None
-            words = f"{path.parent.name} {_holder(stream)}; wait for it, or choose another folder with -o"
-            os.close(stream)
+            words = f"{path.parent.name} {_holder(handle)}; wait for it, or choose another folder with -o"
+            os.close(handle)
             raise ShjError(words) from None
         if there:
             who = {"process": os.getpid(), "host": socket.gethostname()}
             who["since"] = datetime.now().astimezone().isoformat(timespec="seconds")
-            os.ftruncate(stream, 0)
-            os.write(stream, json.dumps(who).encode()[:_WRITTEN])
-            return stream
-        os.close(stream)
+            os.ftruncate(handle, 0)
+            os.write(handle, json.dumps(who).encode()[:_WRITTEN])
+            return handle
+        os.close(handle)
 
 
-def _holder(stream: int) -> str:
+def _holder(handle: int) -> str:
     """Say who writes into a folder, as far as that stands in its file."""
     try:
-        os.lseek(stream, 0, os.SEEK_SET)
-        who = json.loads(os.read(stream, _WRITTEN))
+        os.lseek(handle, 0, os.SEEK_SET)
+        who = json.loads(os.read(handle, _WRITTEN))
         process, host, since = (shown(who[key]).strip("'") for key in ("process", "host", "since"))
         return f"is being written into by process {process} on {host}, since {since}"
     except (OSError, ValueError, KeyError, TypeError, RecursionError):  # it has not written that yet
         return "is being written into by another process"
 
 
-def _release(stream: int, path: Path) -> None:
+def _release(handle: int, path: Path) -> None:
     """Take the file away while it is locked, where the system allows that, then unlock it."""
     with suppress(OSError):
         if sys.platform != "win32":
             path.unlink()
-    os.close(stream)
+    os.close(handle)
     with suppress(OSError):
         if sys.platform == "win32":
             path.unlink()
@@ -429,13 +429,13 @@ def _release(stream: int, path: Path) -> None:
 if sys.platform == "win32":
     import msvcrt
 
-    def _lock(stream: int) -> None:
-        os.lseek(stream, _WRITTEN, os.SEEK_SET)
-        msvcrt.locking(stream, msvcrt.LK_NBLCK, 1)
-        os.lseek(stream, 0, os.SEEK_SET)
+    def _lock(handle: int) -> None:
+        os.lseek(handle, _WRITTEN, os.SEEK_SET)
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        os.lseek(handle, 0, os.SEEK_SET)
 
 else:
     import fcntl
 
-    def _lock(stream: int) -> None:
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    def _lock(handle: int) -> None:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -89,7 +89,7 @@ class Posterior:
 
     @property
     def n_blocks(self) -> int:
-        """Averages of all runs."""
+        """Number of blocks of all runs."""
         return sum(part.n for part in self.averages)
 
     def natural(self, z: FloatArray) -> FloatArray:

@@ -412,9 +412,10 @@ def _distance(start: Start, z: FloatArray, origin: FloatArray) -> float:
 
 
 def _negative_with_gradient(
-    u: FloatArray, density: Density, origin: FloatArray, root: FloatArray, step: float = 1e-3
+    u: FloatArray, density: Density, origin: FloatArray, root: FloatArray
 ) -> tuple[float, FloatArray]:
     """Negative log posterior at origin + root u and its central-difference gradient, all points in one call."""
+    step = 1e-3
     shifts = step * np.vstack([np.zeros(u.size), np.eye(u.size), -np.eye(u.size)])
     value = density.log_posterior_free(origin + (u + shifts) @ root.T)
     if not np.all(np.isfinite(value)):

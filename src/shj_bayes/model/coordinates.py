@@ -20,7 +20,7 @@ SHORT_SLIP = 0.01  # of the half stroke, likewise for the distance slid
 FIRST_SLID = 0.03  # of the travel in all tests, likewise for it: surfaces bed in within the first strokes
 FASTEST = 1.15  # of the peak speed (a 95th percentile)
 FELT_MM = 0.1  # slid until a contact has got used to a speed: between clean metal and debris
-PAD = 0.2  # of the half stroke: bell over which the passes over a place are counted
+PAD = 0.2  # of the half stroke: standard deviation of the bell over which passes over a place are counted
 STROKES = 60.0  # half strokes slid at peak speed: what heats a device by one unit of the heat state
 # How smooth a curve is before the test: wear and heating are smooth; clamping that changes with time steps, swings or
 # wanders.
@@ -51,7 +51,7 @@ class Coordinate:
     repeats: float = 0.0
     # probability that a capacity over it has a curve for push and one for pull: a lever or a band is clamped for one
     sides: float = 0.0
-    # how it goes along: the same way in every "stroke", on from stroke to stroke through the "test", or else
+    # how it changes: alike in every "stroke", further from stroke to stroke through the "test", or neither ("else")
     goes: Literal["stroke", "test", "else"] = "test"
     # word of the class over it where it is one of several that differ in a constant, as the time in which heat fades
     group: str = ""

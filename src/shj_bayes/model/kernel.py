@@ -199,8 +199,8 @@ def _range(x):  # type: ignore[no-untyped-def]
 
 
 @njit(error_model="numpy")
-def _part(low, high, origin, reset, law, sense, elastic):  # type: ignore[no-untyped-def]
-    """Say how the law acts between two displacements: 1 or -1 saturated, 0 elastic, 2 in general."""
+def _regime(low, high, origin, reset, law, sense, elastic):  # type: ignore[no-untyped-def]
+    """Tell how the law acts between two displacements: 1 or -1 saturated, 0 elastic, 2 in general."""
     least = law[0] * (low - origin) + reset
     most = law[0] * (high - origin) + reset
     if least * elastic > law[1] and not least * sense < 0.0:
@@ -211,15 +211,15 @@ def _part(low, high, origin, reset, law, sense, elastic):  # type: ignore[no-unt
 
 
 @njit(error_model="numpy", fastmath={"contract"})
-def _span(out, x, speed, part, origin, reset, law, knee, sense):  # type: ignore[no-untyped-def]
-    """Force of neighbouring samples on which the law acts in the same way."""
+def _span(out, x, speed, regime, origin, reset, law, knee, sense):  # type: ignore[no-untyped-def]
+    """Force of neighbouring samples of one `regime`, as `_regime` gives it."""
     stiffness, capacity, beta, gamma = law[0], law[1], law[2], law[3]
-    if part == 0:
+    if regime == 0:
         for i in range(out.size):
             out[i] = (stiffness * (x[i] - origin) + reset) * (1.0 + gamma * speed[i])
-    elif part < 2:
+    elif regime < 2:
         for i in range(out.size):
-            out[i] = part * capacity * (1.0 + gamma * speed[i])
+            out[i] = regime * capacity * (1.0 + gamma * speed[i])
     else:
         per_capacity = 1.0 / capacity
         for i in range(out.size):
@@ -251,13 +251,13 @@ def force_of_many(out, x, speed, start, turning, direction, laws, start_force, v
             sense = float(direction[k]) if variant == CONTINUOUS else 0.0
             a = start[k]
             while a < start[k + 1]:
-                part = _part(low[c], high[c], turning[k], reset, law, sense, elastic)
+                regime = _regime(low[c], high[c], turning[k], reset, law, sense, elastic)
                 b = min(a + CHUNK, start[k + 1])
                 c += 1
-                while b < start[k + 1] and _part(low[c], high[c], turning[k], reset, law, sense, elastic) == part:
+                while b < start[k + 1] and _regime(low[c], high[c], turning[k], reset, law, sense, elastic) == regime:
                     b = min(b + CHUNK, start[k + 1])
                     c += 1
-                _span(out[j, a:b], x[a:b], speed[a:b], part, turning[k], reset, law, knee, sense)
+                _span(out[j, a:b], x[a:b], speed[a:b], regime, turning[k], reset, law, knee, sense)
                 a = b
             if k + 1 < turning.size:
                 reset = held_at(law[0] * (turning[k + 1] - turning[k]) + reset, sense, law[1], law[2], knee)

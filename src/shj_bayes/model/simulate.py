@@ -24,7 +24,7 @@ class Truth:
     ratio: float = 0.875  # sliding force of the second run / first
     sigma: float = 1.0  # force noise scale, kN
     phi: float = 0.8  # lag-one correlation of the force noise at the sampling rate
-    # sigma_slow, tau_slow: slow noise on top of it, kN, and its correlation time, s
+    # sigma_slow, tau_slow: slow noise on top of that of sigma and phi, kN, and its correlation time, s
     sigma_slow: float = 0.0
     tau_slow: float = 3.0
     displacement_noise_mm: float = 0.02  # standard deviation of independent displacement noise, mm
@@ -55,8 +55,8 @@ def simulate_device(
 ) -> tuple[Recording, ...]:
     """Simulate 1 to 9 consecutive runs of one device; same seed, same recordings.
 
-    The second run slides at ratio Fy, each further one at the force of that before it times the ratio. The displacement
-    is that of the `blocks`, by default Table 1; `variant` is the reversal rule.
+    Each run after the first slides at `ratio` times the force of the run before it. The displacement is that of the
+    `blocks`, by default Table 1; `variant` is the reversal rule.
     """
     if not 1 <= n_runs <= 9:
         raise ModelError(f"{n_runs} runs asked for; simulate makes 1 to 9")

@@ -26,7 +26,7 @@ from shj_bayes.recording.recording import Recording
 
 OUTCOMES = 24  # drawn from each rival
 SURE = 2.0  # standard deviations by which the force may be more than predicted
-STEP = 1e-3
+STEP = 1e-3  # of unbounded parameters, for central differences
 WHICH, FORCE = "which", "force"
 MARGIN = "least"  # as in the sheet of margins: smallest plateau force of the last test
 
@@ -42,7 +42,7 @@ class LinearQuantity(NamedTuple):
 
     def now(self, known: PretestPosterior) -> tuple[float, float]:
         """Mean and standard deviation before the planned test, over all rivals."""
-        own = [float(g @ b.gaussian.solve(g)) for g, b in zip(self.slopes, known.rivals, strict=True)]
+        own = [float(g @ rival.gaussian.solve(g)) for g, rival in zip(self.slopes, known.rivals, strict=True)]
         return float(known.shares @ self.values), math.sqrt(spread_of(known.shares, self.values, np.array(own)))
 
 
@@ -82,16 +82,16 @@ def expected_information(
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
     rivals = known.rivals
     data, misread = as_read(known, protocol, rate_Hz, rng)
-    lines, wrong, force_kN = _lines(known, data, misread)
-    outcomes = [_outcomes(b, *line, n, rng) for b, line in zip(rivals, lines, strict=True)]
+    linear, wrong, force_kN = _linearised(known, data, misread)
+    outcomes = [_outcomes(rival, *line, n, rng) for rival, line in zip(rivals, linear, strict=True)]
     drawn = np.concatenate(outcomes, axis=1) + wrong
     logs, values, variances = [], [], []
-    for i, (b, (mean, design)) in enumerate(zip(rivals, lines, strict=True)):
-        after = b.gaussian.informed(design)
+    for i, (rival, (mean, design)) in enumerate(zip(rivals, linear, strict=True)):
+        after = rival.gaussian.informed(design)
         away = drawn - mean[:, None]
         along = design.T @ away
         moved = after.solve(along)
-        grown = after.half_log_det - b.gaussian.half_log_det
+        grown = after.half_log_det - rival.gaussian.half_log_det
         logs.append(-0.5 * (np.sum(away**2, axis=0) - np.sum(along * moved, axis=0)) - grown)
         if quantity is not None:
             values.append(quantity.values[i] + quantity.slopes[i] @ moved)
@@ -100,7 +100,7 @@ def expected_information(
     weights = evidence + np.log(known.shares)
     p = np.exp(weights - logsumexp(weights, axis=1, keepdims=True))  # (n_outcomes, n_rivals)
     chance, keys = np.repeat(known.shares / n, n), known.keys
-    of_key = np.array([keys.index(b.key) for b in rivals])
+    of_key = np.array([keys.index(rival.key) for rival in rivals])
     by_key = np.stack([p[:, of_key == k].sum(axis=1) for k in range(len(keys))], axis=1)
     truth = np.repeat(of_key, n)
     sd = None if quantity is None else math.sqrt(chance @ spread_of(p, np.array(values).T, np.array(variances)))
@@ -125,7 +125,7 @@ def _separation(known: PretestPosterior, logs: FloatArray) -> float:
     """
     of_set = {}
     for key in known.contenders:
-        own = [i for i, b in enumerate(known.rivals) if b.key == key]
+        own = [i for i, rival in enumerate(known.rivals) if rival.key == key]
         within = known.shares[own] / known.probabilities[key]
         of_set[key] = logsumexp(logs[:, :, own] + np.log(within), axis=2)
     pairs = list(permutations(of_set, 2))
@@ -139,7 +139,7 @@ def _separation(known: PretestPosterior, logs: FloatArray) -> float:
     return min(least, default=0.0)
 
 
-def _lines(
+def _linearised(
     known: PretestPosterior, data: BinnedData, misread: FloatArray
 ) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray, float]:
     """Linearise a planned run: mean and design of each rival, what all get wrong, and the largest force, kN.
@@ -149,19 +149,19 @@ def _lines(
     first = known.rivals[0]
     metric = ErrorModel(data, known.setting, data.residual_and_slope(first.model, first.z[None])[1][0])
     columns, forces = [metric.whitened(misread[:, None]), metric.other], []
-    for b in known.rivals:
-        residual = data.residual(b.model, b.z[None])[0]
-        force, jacobian = (data.measured_kN - residual) * data.used, data.jacobian(b.model, b.z, residual)
-        told, own = jacobian * b.drawn, b.gaussian.covariance[: b.z.size, : b.z.size]
+    for rival in known.rivals:
+        residual = data.residual(rival.model, rival.z[None])[0]
+        force, jacobian = (data.measured_kN - residual) * data.used, data.jacobian(rival.model, rival.z, residual)
+        told, own = jacobian * rival.drawn, rival.gaussian.covariance[: rival.z.size, : rival.z.size]
         forces.append(float(np.max(np.abs(force) + SURE * np.sqrt(np.einsum("ij,jk,ik->i", told, own, told)))))
-        columns.append(metric.whitened(np.column_stack([force - jacobian @ b.z, jacobian])))
+        columns.append(metric.whitened(np.column_stack([force - jacobian @ rival.z, jacobian])))
     wrong, other, *own_columns = _reduced(columns)
-    lines = []
-    for b, white in zip(known.rivals, own_columns, strict=True):
-        of_old_runs = np.zeros((white.shape[0], b.mean.size - b.z.size - other.shape[1]))
+    linear = []
+    for rival, white in zip(known.rivals, own_columns, strict=True):
+        of_old_runs = np.zeros((white.shape[0], rival.mean.size - rival.z.size - other.shape[1]))
         design = np.concatenate([white[:, 1:], other, of_old_runs], axis=1)
-        lines.append((white[:, 0] + design @ b.mean, design))
-    return lines, wrong, max(forces)
+        linear.append((white[:, 0] + design @ rival.mean, design))
+    return linear, wrong, max(forces)
 
 
 def as_read(
@@ -185,11 +185,11 @@ def quantity_of(
 ) -> LinearQuantity:
     """Linearise a design quantity about every rival; `value` as in `LinearQuantity`."""
     values, slopes = [], []
-    for b in known.rivals:
-        z, n = b.mean[: b.z.size], b.z.size
-        slope = np.zeros(b.mean.size)
-        slope[:n] = [(value(b.model, z + s) - value(b.model, z - s)) / (2 * STEP) for s in STEP * np.eye(n)]
-        values.append(value(b.model, z))
+    for rival in known.rivals:
+        z, n = rival.mean[: rival.z.size], rival.z.size
+        slope = np.zeros(rival.mean.size)
+        slope[:n] = [(value(rival.model, z + s) - value(rival.model, z - s)) / (2 * STEP) for s in STEP * np.eye(n)]
+        values.append(value(rival.model, z))
         slopes.append(slope)
     return LinearQuantity(unit, np.array(values), tuple(slopes), value)
 
@@ -202,10 +202,10 @@ def _reduced(columns: Sequence[FloatArray]) -> list[FloatArray]:
     return np.split(reduced, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
 
 
-def _outcomes(b: RivalModel, mean: FloatArray, design: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
+def _outcomes(rival: RivalModel, mean: FloatArray, design: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
     """Draw outcomes of a rival in units of the noise, shape (n_evidence, n)."""
-    u = b.gaussian.draw(n, rng)
-    u[: b.z.size][~b.drawn] = 0.0
+    u = rival.gaussian.draw(n, rng)
+    u[: rival.z.size][~rival.drawn] = 0.0
     return np.asarray(mean[:, None] + design @ u + rng.standard_normal((mean.size, n)))
 
 

@@ -284,14 +284,14 @@ class PretestPosterior:
         noise = max((run.motion.noise_mm for run in self.runs), default=0.0)
         return displacement_mm + noise * rng.standard_normal(displacement_mm.size)
 
-    def data(self, time_s: FloatArray, motion: Motion, force_kN: FloatArray, coarser: float = COARSER) -> BinnedData:
-        """Hold the model against one further run, its blocks `coarser` times as long as those of a fit.
+    def data(self, time_s: FloatArray, motion: Motion, force_kN: FloatArray) -> BinnedData:
+        """Hold the model against one further run, its blocks `COARSER` times as long as those of a fit.
 
         Times are from 0, the displacement is from the middle of the stroke.
         """
         run = Run(Recording(time_s, motion.displacement_mm, force_kN, source=PLANNED), motion)
         bends = partial(self.base_force, share_of_speed=0.0)  # what the speed adds is straight
-        part = _zero_within(reduce_runs((run,), bends, coarser=coarser)[0], self.largest_zero_kN)
+        part = _zero_within(reduce_runs((run,), bends, coarser=COARSER)[0], self.largest_zero_kN)
         runs = (*self.runs, run)
         posterior = Posterior(runs, self.device, (replace(part, history=self.placed(part.history)),))
         return BinnedData(posterior, self.z, self.peak_mm_s)

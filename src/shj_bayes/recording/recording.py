@@ -75,7 +75,7 @@ class RunStart(NamedTuple):
 class Extra:
     """A further channel that was asked for: bolt tension, temperature ..."""
 
-    # name, unit: as given with ``--columns`` and as the header says; a force, which ``tension`` is, in kN
+    # name, unit: as given with ``--columns`` and as the header says; a force, such as ``tension``, in kN
     name: str
     unit: str
     values: FloatArray  # shape (n_samples,): at the samples of the recording; NaN where there is no number near
@@ -89,7 +89,7 @@ class Extra:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One test run of one device, or several that `shj_bayes.recording.runs.split` parts.
+    """One test run of one device, or several that `shj_bayes.recording.runs.split` takes apart.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ class Recording:
         return all(finding.severity != "unusable" for finding in self.findings)
 
 
-SMALL_KN = 1.0  # newton below: 0.26 kN is no number that a laboratory reads off its load cell
+SMALL_KN = 1.0  # sliding forces below are shown in N: a laboratory reads 260 N off its load cell, not 0.26 kN
 
 
 def unit_for(sliding_kN: float) -> tuple[str, float]:
@@ -212,7 +212,7 @@ def unit_for(sliding_kN: float) -> tuple[str, float]:
 
 
 def unit_of(force_kN: NDArray[np.float64]) -> tuple[str, float]:
-    """Do so by a recorded force, shape (n,): half of its range without the rare largest is about the sliding force."""
+    """Choose it from a recorded force, shape (n,): half its range without rare extremes is about the sliding force."""
     low, high = np.quantile(force_kN, (0.05, 0.95))
     return unit_for(0.5 * float(high - low))
 

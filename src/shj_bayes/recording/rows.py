@@ -117,13 +117,13 @@ def _taken_apart(line: str) -> dict[str, tuple[list[str], dict[str, int]]]:
 
 
 def _is_label(cell: str, below: list[str]) -> bool:
-    """Whether a row begins with a word and those below it do not: ``Interval;0.05;0.05`` is none of numbers."""
+    """Whether a row begins with a word and those below it do not: ``Interval;0.05;0.05`` is no row of numbers."""
     word = cell[:1].isalpha() and cell.lower() != "nan" and not is_stamp(cell)
     return word and bool(below) and 2 * sum(not one[:1].isalpha() for one in below) >= len(below)
 
 
 def numeric_width(cells: list[str], decimal: str) -> int:
-    """Count the cells if at least two of them, and half of those that are no time stamps, are numbers, else 0."""
+    """Count the cells if at least two, and half of those that are no time stamps, are numbers; else give 0."""
     numbers = sum(is_number(cell, decimal) for cell in cells)
     if numbers < 2 or (numbers < len(cells) / 2 and numbers < (len(cells) - sum(map(is_stamp, cells))) / 2):
         return 0
@@ -320,7 +320,7 @@ def is_head(group: Sequence[str], first: Head, dialect: Dialect) -> bool:
 
 
 def brought(first: Head, own: Head, file: str) -> list[tuple[int, float]]:
-    """Where the columns of the first head stand below a later one, -1 where it lacks one, and the factor of its unit.
+    """Place below a later head of each column of the first, -1 where it is missing, and the factor of its unit.
 
     `RecordingError` with the line where a channel is missing or its unit cannot be brought to that of the first head.
     """
@@ -346,7 +346,7 @@ def brought(first: Head, own: Head, file: str) -> list[tuple[int, float]]:
 
 
 def _scale(first: str | None, own: str | None, where: str, apart: str) -> float:
-    """Give the factor from the unit of a later head to that of the first, of which it is where it states none."""
+    """Give the factor from the unit of a later head to that of the first; 1 where the later one states none."""
     if own is None or own == first:
         return 1.0
     if first is None:
@@ -363,7 +363,7 @@ _MIN_SUSPECT = 3  # fewer such cells beside whole numbers are chance
 _N_LOOKED = 4000  # rows in which they are looked for
 _N_STAMPS = 20  # cells of a column that show whether it holds time stamps
 _HEAD_GAP = 4  # lines without words, such as dates, that may stand between those of a head
-_WORDY = re.compile(r"""[\s"'(\[{<*,;]*[^\W\d_]""")  # how a line begins that may be none of numbers
+_WORDY = re.compile(r"""[\s"'(\[{<*,;]*[^\W\d_]""")  # how a line begins that may be no row of numbers
 
 
 class TextColumn:
@@ -387,7 +387,7 @@ class TextColumn:
         self.n_rows += values.size
 
     def lack(self, n_rows: int, n_words: int = 0) -> None:
-        """Take a block in which the column is missing, or holds so many words that are not looked at."""
+        """Take a block in which the column is missing, or holds `n_words` cells that are not looked at."""
         if self.stamps is not None:
             self.stamps.add([""] * n_rows)
         self.take(np.full(n_rows, np.nan))
@@ -487,7 +487,7 @@ class TextRows:
         self.moved: list[Head] = []  # those that are not the same as the first
         self.n_rows = self.n_kept = self.n_remarks = 0
         self.remark = ""
-        self.labelled = False  # whether lines that begin with a word are none of numbers
+        self.labelled = False  # whether lines that begin with a word are no rows of numbers
         self.below: list[str] = []  # lines below the numbers
 
     def read(self, lines: Iterable[str]) -> None:

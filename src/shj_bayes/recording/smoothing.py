@@ -78,7 +78,7 @@ def hermite(knots: FloatArray, values: FloatArray, slopes: FloatArray, at: Float
     return np.asarray(value), np.asarray((first + u * (2 * bend + u * 3 * twist)) / width)
 
 
-NARROWEST = 3.5  # windows below the one that suits every half-cycle, by this factor, for what changes within one
+NARROWEST = 3.5  # the window that suits every half-cycle over the narrowest, which follows changes within one
 MAX_HALF_WIDTH = 100  # grid points on each side: wider windows are reached by averaging samples first
 MAX_CELLS = 20_000_000  # of a grid: a time axis with absurd gaps is no reason to run out of memory
 _CUBIC, _QUINTIC = 3, 5
@@ -127,11 +127,11 @@ class Samples(NamedTuple):
 
     time_s: FloatArray
     values: FloatArray
-    noise: float  # standard deviation of one
+    noise: float  # standard deviation of the noise of one sample
     step: float  # usual sampling interval, s
 
     def grid(self, half_s: float) -> Grid:
-        """Average what a window of half a width (s) need not tell apart."""
+        """Average samples that a window of this half-width (s) need not tell apart."""
         least = float(np.ptp(self.time_s)) / MAX_CELLS
         return grid_of(self.time_s, self.values, self.noise, max(self.step, half_s / MAX_HALF_WIDTH, least))
 
@@ -248,7 +248,7 @@ def widen(samples: Samples, allowed: float, edges: FloatArray, half_s: float, st
 
 
 def choose_half_width(samples: Samples, allowed: float, edges: FloatArray) -> float:
-    """Half of the widest window, s, that moves the curve of no half-cycle by more than is `allowed`, noise or not.
+    """Half of the widest window, s, that moves the curve of no half-cycle by more than `allowed` or noise explains.
 
     Windows are widened by a factor 1.5. In each half-cycle (without its ends, where a corner may be) the difference
     between neighbouring windows is compared with what noise alone would give; its median is used, so that a stop within
@@ -383,7 +383,7 @@ def bandwidth(half: int, step: float) -> float:
     return float(frequency[below[0]] if below.size else frequency[-1])
 
 
-SHORTEST, WIDER, PARABOLA = 5, 1.5, 2
+SHORTEST, WIDER, PARABOLA = 5, 1.5, 2  # values in the first window, factor to the next one, degree
 
 
 class Refusal(StrEnum):

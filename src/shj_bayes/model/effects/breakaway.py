@@ -79,7 +79,7 @@ _EXPONENTIAL = Effect(
     source="Ageing of contacts with the logarithm of rest (Hulikal, Bhattacharya and Lapusta, arXiv 1405.3643).",
     start={"size": (0.1,), "decay": (0.5, 2.0, 6.0), "growth": (0.2,)},
 )
-_OR_LINEAR = _EXPONENTIAL.with_form(
+_WITH_LINEAR = _EXPONENTIAL.with_form(
     "linear",
     statement=GONE,
     equation="Fy -> Fy (1 + a max(0, 1 - d/D)), d slid since the reversal",
@@ -91,7 +91,7 @@ _OR_LINEAR = _EXPONENTIAL.with_form(
     source="Linear slip weakening (Ida 1972, J. Geophys. Res. 77, 3796; Andrews 1976, J. Geophys. Res. 81, 3575).",
     start={"size": (0.1,), "length": (2.0, 6.0, 18.0)},
 )
-_OR_TORN = _OR_LINEAR.with_form(
+_WITH_TORN = _WITH_LINEAR.with_form(
     "torn",
     statement=GONE,
     equation="Fy -> Fy (1 + a max(0, 1 - (d/D)^n)), d slid since the reversal",
@@ -104,7 +104,7 @@ _OR_TORN = _OR_LINEAR.with_form(
     source="Assumed form: junctions torn one by one, none left beyond a length; linear where all lengths are as many.",
     start={"size": (0.1,), "length": (2.0, 6.0, 18.0), "power": (2.0,)},
 )
-EFFECT = _OR_TORN.with_form(
+EFFECT = _WITH_TORN.with_form(
     "aged",
     statement=(
         "Sliding starts with a peak {size:.1%} of the force higher for each e-fold of the time at rest; "

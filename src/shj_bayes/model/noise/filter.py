@@ -87,8 +87,8 @@ def log_density(noise: Noise, values: Values, residual: FloatArray, slope: Float
     """Log density of averaged residuals by half-cycle, each given those before it, shape (m, n_half).
 
     For m sets of the noise's parameters, with measured less modelled force of each block (`residual`, kN) and the
-    derivative of the modelled force after the displacement (`slope`, kN/mm), both of shape (m, n). They add up to the
-    log likelihood. Under heavy tails the zero of the load cell counts as known.
+    derivative of the modelled force after the displacement (`slope`, kN/mm), both of shape (m, n). The half-cycles add
+    up to the log likelihood. Under heavy tails the zero of the load cell counts as known.
     """
     return _run(noise, values, residual, slope, timing)[:, :-2]
 
@@ -107,7 +107,7 @@ def density_and_zero(
 
 
 def _run(noise: Noise, values: Values, residual: FloatArray, slope: FloatArray, timing: Timing) -> FloatArray:
-    """Run the recursion: what `_filter` fills its first argument with."""
+    """Run the recursion: log densities by half-cycle, then two columns on the zero, see `_filter`."""
     parts = noise.parts(values)
     out = np.empty((residual.shape[0], timing.half.size + 1))
     _filter(
@@ -135,11 +135,10 @@ def whiten(
 ) -> tuple[FloatArray, float]:
     """Take from each column what the noise before predicts, in units of the standard deviation of what is new.
 
-    Columns, shape (n, p), that are treated so may be handled as if the noise were independent and of unit variance. An
-    error of a turning point counts as independent from block to block, the zero of the load cell as known, and heavy
-    tails as normal ones. All noise is `rougher` in each block, shape (n,), by this factor; 1 by default. Gives the
-    whitened columns of the blocks that are evidence, and the logarithm of the determinant of the covariance; other
-    arguments as for `log_density`, of one parameter set.
+    The noise of whitened columns, shape (n, p), is independent and of unit variance. Errors of turning points count as
+    independent from block to block, the zero of the load cell as known, heavy tails as normal ones. `rougher`, shape
+    (n,), is a factor on all noise of each block, by default 1. Gives the whitened columns of the blocks that are
+    evidence, and the log determinant of the covariance; other arguments as for `log_density`, of one parameter set.
     """
     rows = {name: np.array([value]) for name, value in values.items()}
     parts = noise.parts(rows)
@@ -224,10 +223,10 @@ def _coefficients(count, within, before):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nnan", "nsz"})
-def _filter(out, residual, slope, kind, share, table, half, scales, known, noise_turn):  # type: ignore[no-untyped-def]
+def _filter(out, residual, slope, kind, share, table, half, scales, errors, noise_turn):  # type: ignore[no-untyped-def]
     """Fill `out` with the log density of each half-cycle; arrays as in `log_density`, variances in place of sds.
 
-    `known` has the variances of one sample's displacement and of the zero; the last two columns of `out` get the
+    `errors` has the variances of one sample's displacement and of the zero; the last two columns of `out` get the
     products of a zero that is off by 1 kN with the residual and with itself.
 
     `LANES` parameter sets go through the recursion side by side, as one vector instruction does them all: its chain of
@@ -250,7 +249,7 @@ def _filter(out, residual, slope, kind, share, table, half, scales, known, noise
                 c = kind[i]
                 if c < 0:
                     continue
-                _step(work, lines, factors, 2 * i * LANES, c * 5 * LANES, share[i, 0], known[0] * share[i, 1] + turn)
+                _step(work, lines, factors, 2 * i * LANES, c * 5 * LANES, share[i, 0], errors[0] * share[i, 1] + turn)
                 count += 1
                 if heavy:
                     _add_tails(work, scales, first)
@@ -265,8 +264,8 @@ def _filter(out, residual, slope, kind, share, table, half, scales, known, noise
                     # From the left: a product of 0 and the square, which may overflow, would be no number.
                     left = work[ACROSS + lane] - noise_turn[k] * work[ALONG + lane] * work[ALONG + lane] / spread
                     value -= 0.5 * (count * LOG_2PI + left + math.log(spread))
-                    if known[1] > 0.0 and value > -math.inf:
-                        value += _about_zero(work, lane, noise_turn[k] / spread, known[1])
+                    if errors[1] > 0.0 and value > -math.inf:
+                        value += _about_zero(work, lane, noise_turn[k] / spread, errors[1])
                 # Variances that vanish together: so little noise has no density, not an infinite one.
                 out[first + lane, k] = value if value < math.inf else -math.inf
         for lane in range(min(LANES, m - first)):

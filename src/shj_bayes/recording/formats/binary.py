@@ -200,7 +200,7 @@ _NESTED = {"struct", "cell"}
 
 
 def apart(path: Path, mark: str) -> Iterator[Item]:
-    """Read a file in a process of its own, which a damaged one can end: what it holds.
+    """Read a file in a process of its own, which a damaged file may end, and give what it holds.
 
     `mark` stands between the levels of its groups. About one damaged HDF5 file in a thousand ends its reader with a
     segmentation fault (``tests/fuzz``); so do a few thousand cells in one another in scipy.
@@ -321,14 +321,14 @@ class _Tree:
         if item.dtype == self.h5py.ref_dtype:
             ours = kind == "cell" or (not kind and "MATLAB_class" in item.parent.attrs)
             return self._followed(item, depth) if ours else None
-        # What is stored of an object of MATLAB is no numbers but places.
+        # Of an object of MATLAB no numbers are stored, but where they are.
         parts = [item.dtype[name] for name in item.dtype.names or ()] or [item.dtype]
         plain = all(part.kind in "fiub" for part in parts)
         if "MATLAB_empty" in item.attrs or not plain or kind not in {"", "char", *_NUMERIC}:
             return None
         self.bytes += int(item.size or 0) * max(8, item.dtype.itemsize)
         refuse_large(self.bytes, self.name)
-        # What a chunk really unpacks to, the bound on the memory tells.
+        # What a chunk really unpacks to is limited by the bound on the memory.
         if item.chunks and int(np.prod([float(n) for n in item.chunks])) * item.dtype.itemsize > limits.MAX_BYTES:
             raise RecordingError(f"{self.name}: chunks of {item.chunks} values; save it again with smaller ones")
         if kind == "char":
@@ -415,7 +415,7 @@ def is_hdf5(path: Path) -> bool:
 
 
 def _from_mat(path: Path) -> Iterator[Item]:
-    """Variables of a MAT file up to v7; structs and cells by way of a process of their own, which bad ones can end."""
+    """Variables of a MAT file up to v7; files with structs or cells in a process of their own (see `apart`)."""
     with path.open("rb") as stream:
         head = stream.read(128)
     order = _V5_ORDERS.get(head[124:])
@@ -452,7 +452,7 @@ def loaded(path: Path) -> dict[str, Any]:
 
 @contextmanager
 def _sizes_told(path: Path) -> Iterator[None]:
-    """Say in words what scipy says of elements that are shorter or longer than their tags claim."""
+    """Turn errors of scipy over elements that are shorter or longer than they claim into one sentence."""
     try:
         yield
     except (ValueError, OSError, TypeError, IndexError, struct.error, zlib.error) as error:
