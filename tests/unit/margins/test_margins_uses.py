@@ -53,7 +53,7 @@ def population_of(level_sd, spread):
     for name in ("lowest", "highest", "third"):
         mu = np.log(80.0) + level_sd * rng.standard_normal((N, 1))
         tau = np.full((N, 1), spread)
-        fits[name] = QuantityPosterior(name, mu, tau, np.ones((N, 4)), (6,), 1.0, 4000.0, 4)
+        fits[name] = QuantityPosterior(name, mu, tau, np.ones((N, 4)), (6,))
         draws[name] = np.exp(mu[:, 0] + spread * rng.standard_normal(N))
     group = DeviceSet("A", tuple("123456"), NO_TAGS, {q: (math.log(80.0),) * 6 for q in fits})
     priors = {q: population_prior(q) for q in fits}
