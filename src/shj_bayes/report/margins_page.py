@@ -14,6 +14,7 @@ from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet
 from shj_bayes.margins.virtual_test import STEP, CyclePoint, over_amplitude
 from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.predict import LoopBand
+from shj_bayes.report.figures.population import loop
 from shj_bayes.report.page import write_page
 from shj_bayes.report.sets import name_of
 from shj_bayes.report.words import digits
@@ -261,7 +262,4 @@ def _pictures(loops: Sequence[LoopBand]) -> dict[str, str]:
             by_set.setdefault(band.set_name, []).append(band)
     if len(by_set) > MAX_PICTURES:
         return {}
-    # Drawing needs matplotlib, whose import takes a second that commands without a page need not wait for.
-    from shj_bayes.report.figures.population import loop  # noqa: PLC0415
-
     return {name: loop(bands) for name, bands in by_set.items()}

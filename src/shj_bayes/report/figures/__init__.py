@@ -1,1 +1,1 @@
-"""Drawing only: functions take arrays and give a picture as a data URI. matplotlib is imported here alone."""
+"""Drawing only: functions take arrays and give a picture as a data URI, by the diagrams of `canvas`."""
