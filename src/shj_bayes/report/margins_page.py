@@ -126,7 +126,8 @@ def line_words(line: CardLine) -> dict[str, Any]:
     notes = [line.clause, *(row.warning for row in rows if row.warning)]
     unit, error = "" if rows[0].unit == "1" else rows[0].unit, max(row.monte_carlo_error for row in rows)
     clause = "; ".join(filter(None, dict.fromkeys(notes)))
-    said = {"use": line.use, "values": values, "unit": unit, "error": f"{error:.1g}" if error else "", "clause": clause}
+    said = {"use": line.use, "values": values, "unit": unit, "clause": clause}
+    said["error"] = f"{float(f'{error:.1g}'):g}" if error else ""  # one digit, and 10 in the place of 1e+01
     return said | {"main": rows[0].method == DESIGN}
 
 
