@@ -195,11 +195,11 @@ def draw(
 ) -> None:
     """Draw loops of the largest block, and the residual over one coordinate, before and after."""
     data = result.channels
-    one = (data["run"].values == 1) & (data["weight"].values > 0)
+    one = (data["run"] == 1) & (data["weight"] > 0)
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     loops, rest = tidy(left), tidy(right)
-    block, place_mm = data["block"].values, data["position_mm"].values
+    block, place_mm = data["block"], data["position_mm"]
     reach = {b: float(np.ptp(place_mm[one & (block == b)])) for b in np.unique(block[one])}
     largest = max(b for b, size in reach.items() if size >= 0.95 * max(reach.values()))
     last = one & ((block == largest) | (block == largest - 1))
@@ -209,12 +209,12 @@ def draw(
         ("before_kN", RED, 1.0, law),
         ("after_kN", BLUE, 1.0, "with what was found"),
     ):
-        loops.plot(x, data[channel].values[last], color=colour, linewidth=width, label=text)
+        loops.plot(x, data[channel][last], color=colour, linewidth=width, label=text)
     label(loops, "position (mm)", "force (kN)")
     loops.legend(frameon=False, fontsize=8.5, loc="center")
-    values, sense = data[name].values[one], data["direction"].values[one]
+    values, sense = data[name][one], data["direction"][one]
     for channel, colour, text in (("before_kN", RED, law), ("after_kN", BLUE, "with what was found")):
-        binned(rest, values, sense * (data["force_kN"].values - data[channel].values)[one], colour, text)
+        binned(rest, values, sense * (data["force_kN"] - data[channel])[one], colour, text)
     rest.axhline(0, color=INK, linewidth=0.8)
     label(rest, words, "left over, in the direction of motion (kN)")
     rest.legend(frameon=False, fontsize=8.5)
