@@ -32,6 +32,7 @@ WAYS = (KNOWN, COMMON, UNKNOWN, BETWEEN)
 SIDES = (LOW, MIDDLE, HIGH)
 ASCE, FLOOR = "ASCE 7", "with the floor for dampers"
 CHARACTERISTIC, X_D = "EN 1990 characteristic, lognormal", "EN 1990 design, lognormal"
+STIFFNESS = tuple(f"new device, {level} %" for level in (5, 50, 95))  # the same kinds as of any quantity; here of K
 PRODUCTION = "within 15 %: EN 15129, ASCE 7 18.6"
 LINES = (
     # use, clause or what the values are, kinds of the lower, typical and upper value
@@ -58,7 +59,7 @@ LINES = (
     ("EN 1990: X_d from tests", "D7.3; no gamma_m to follow", X_D, "", X_D),
     ("share accepted, one device", f"of good ones {PRODUCTION}", PASSES, "", ""),
     ("share accepted, all connections", f"of good deliveries {PRODUCTION}", BATCH_PASSES, "", ""),
-    ("initial stiffness", "", *(f"new device, {level} %" for level in (5, 50, 95))),
+    ("initial stiffness", "", *STIFFNESS),
 )
 
 
@@ -111,7 +112,7 @@ def _quantity(kind: str, side: str) -> str:
     """Quantity of a line: values by testing are of the smallest plateau and the largest force of all runs."""
     if kind in (CHARACTERISTIC, X_D):
         return LOWEST if side == LOW else HIGHEST
-    return "K" if kind.startswith("new device") else "force"
+    return "K" if kind in STIFFNESS else "force"
 
 
 def _facts(sheet: Sheet, name: str, index: Mapping[Key, Margin]) -> Iterator[tuple[str, str]]:
