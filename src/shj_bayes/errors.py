@@ -68,6 +68,17 @@ def system_words(error: OSError) -> str:
     return f"{plain_text(error.strerror or str(error))}{where}; check the path, the rights and the free space"
 
 
+def words_of(error: Exception) -> str:
+    """Say why a piece of work failed, whatever it raised; the type of an unexpected error says that it is a bug."""
+    if isinstance(error, ShjError):
+        return str(error)
+    if isinstance(error, OSError):
+        return system_words(error)
+    if isinstance(error, MemoryError):
+        return "not enough memory; use fewer --workers, or export fewer samples"
+    return plain_text(f"unexpected {type(error).__name__}: {error}")
+
+
 class ShjError(Exception):
     """Base of every error that a user can mend; the command line prints it as one line and exits 1.
 

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 import shj_bayes
 from shj_bayes._util import tasks
-from shj_bayes.app.campaign import _fit_one, run_campaign
+from shj_bayes.app.campaign import fit_one, run_campaign
 from shj_bayes.app.manifest import Manifest, read_manifest
 from shj_bayes.cli import main
 from shj_bayes.errors import CampaignError
@@ -125,10 +125,10 @@ def test_a_killed_worker_changes_nothing(processes, scheduler, manifest, tmp_pat
     assert "displacement" in outcomes[-1].reason
     assert not list(out.rglob("*.part"))
     for device in manifest.devices[:N]:
-        assert _fit_one(device, tmp_path / "alone").status == "done"
+        assert fit_one(device, tmp_path / "alone").status == "done"
         here, there = (read_group(folder / device.folder, "posterior") for folder in (tmp_path / "alone", out))
         np.testing.assert_equal(here, there)
-        assert _fit_one(device, out).status == "kept"  # what the cluster wrote counts as finished here
+        assert fit_one(device, out).status == "kept"  # what the cluster wrote counts as finished here
 
 
 def workers(client) -> dict[str, dict[str, object]]:

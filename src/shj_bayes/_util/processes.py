@@ -27,7 +27,7 @@ from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from shj_bayes.errors import shown
+from shj_bayes.errors import shown, words_of
 
 PYTHON = (sys.executable, "-P")  # the beginning of a command that starts this Python again
 _SAFE, _WARNINGS = "PYTHONSAFEPATH", "PYTHONWARNINGS"
@@ -55,6 +55,66 @@ class Workers(ProcessPoolExecutor):
         for process in list((self._processes or {}).values()):
             process.terminate()
         self.shutdown(wait=True, cancel_futures=True)
+
+
+class Companion:
+    """A spawned process that answers one call after the other and says meanwhile how far it is."""
+
+    def __init__(self, prepare: Callable[[], object]) -> None:
+        spawn = get_context("spawn")
+        self._here, there = spawn.Pipe()
+        with _safe_path(), _deaf():
+            self._process = spawn.Process(target=_answer, args=(there, prepare))
+            self._process.start()
+        there.close()
+
+    def call(self, function: Callable[..., Any], *args: Any, told: Callable[[float | None, str], None]) -> Any:
+        """Call a function there with a further argument ``tell``, whose calls come to `told`; wait for its result.
+
+        `CallFailedError` with the reason in words where it raised; `EOFError` where the process ended.
+        """
+        try:
+            self._here.send((function, args))
+            while True:
+                kind, value = self._here.recv()
+                if kind == "told":
+                    told(*value)
+                elif kind == "failed":
+                    raise CallFailedError(value)
+                else:
+                    return value
+        except OSError as error:
+            raise EOFError from error
+
+    def stop(self) -> None:
+        """End the process, whatever it is doing: what it writes is whole or not there at all."""
+        self._process.terminate()
+        self._process.join()
+        self._here.close()
+
+
+class CallFailedError(Exception):
+    """A call in another process that raised; the text says why, in words."""
+
+
+def _answer(there: Any, prepare: Callable[[], object]) -> None:
+    """Answer the calls of a `Companion`."""
+    _begin()
+    prepare()
+
+    def tell(share: float | None, words: str) -> None:
+        there.send(("told", (share, words)))
+
+    while True:
+        try:
+            function, args = there.recv()
+        except EOFError:
+            return
+        try:
+            answer = "done", function(*args, tell)
+        except Exception as error:  # whatever it is, who asked is told
+            answer = "failed", words_of(error)
+        there.send(answer)
 
 
 def _begin() -> None:

@@ -20,7 +20,7 @@ from shj_bayes._util.files import alone_in, make_writable, shipped
 from shj_bayes._util.tasks import results_here, results_on
 from shj_bayes.app.manifest import Device, Manifest
 from shj_bayes.app.resume import MARGINS, PAGE, POPULATION, CommandResult, campaign_inputs, kept_result
-from shj_bayes.errors import CampaignError, ShjError, did_you_mean, plain_text, shown, system_words
+from shj_bayes.errors import CampaignError, ShjError, did_you_mean, shown, words_of
 from shj_bayes.options import DIAGNOSES, DiagnoseOptions
 from shj_bayes.population.device import Claim
 from shj_bayes.report.campaign_physics import statements
@@ -169,10 +169,10 @@ def _all_done(
     quiet = None if progress and devices else True
     with tqdm(total=len(devices), initial=len(outcomes), unit="device", desc=words, disable=quiet) as bar:
         if not (cluster and waiting):
-            coming = results_here(workers, partial(_fit_one, folder=folder), waiting)
+            coming = results_here(workers, partial(fit_one, folder=folder), waiting)
         else:
             there, sent = folder.absolute(), map(_with_whole_paths, waiting)
-            do = partial(_fit_one, folder=there)
+            do = partial(fit_one, folder=there)
             coming = results_on(cluster, there, do, sent, tell=bar.set_postfix_str)
         named = {device.folder: device for device in devices}  # an outcome speaks of the device as the manifest does
         for device, outcome, reason in coming:
@@ -213,15 +213,15 @@ def _with_whole_paths(device: Device) -> Device:
     return replace(device, recordings=tuple(path.absolute() for path in device.recordings), options=options)
 
 
-def _fit_one(device: Device, folder: Path) -> Outcome:
-    """Fit and diagnose one device in a worker process."""
+def fit_one(device: Device, folder: Path, work: Work | None = None) -> Outcome:
+    """Fit and diagnose one device of a campaign in its folder below `folder`; by default with one thread, silently."""
     # A campaign in which nothing changed needs none of it.
     from shj_bayes.app.device import Work, fit_device  # noqa: PLC0415
     from shj_bayes.report.device import render_device  # noqa: PLC0415
 
     place, off = folder / device.folder, device.diagnose == "off"
     given = device.recordings, place, device.options
-    work = Work(threads=1, held={})
+    work = replace(work or Work(threads=1), held={})
     result = _tried(lambda: fit_device(*given, name=device.name, page=off, work=work))
     if isinstance(result, str):
         return Outcome(device, FAILED, result)
@@ -251,14 +251,8 @@ def _tried(job: Callable[[], Result]) -> Result | str:
     """Do a job; give why it failed, in words, where it did: one bad device must not stop a thousand good ones."""
     try:
         return job()
-    except ShjError as error:
-        return str(error)
-    except OSError as error:
-        return system_words(error)
-    except MemoryError:
-        return "not enough memory; use fewer --workers, or export fewer samples"
-    except Exception as error:  # the type says that it is a bug
-        return plain_text(f"unexpected {type(error).__name__}: {error}")
+    except Exception as error:  # whatever it is, it is told of the one device
+        return words_of(error)
 
 
 def _outcome(device: Device, result: CommandResult) -> Outcome:
@@ -280,17 +274,20 @@ def campaign_record(
     """Say what became of the devices of each set."""
     told = ("status", "reason", "verdict", "diagnosis", "diagnosis_reason", "with_set", "with_set_reason")
     sets: dict[str, list[DeviceEntry]] = {}
-    connections = {o.device.set_name: o.device.connection for o in outcomes}
+    of_set = {o.device.set_name: o.device for o in outcomes}
     for o in outcomes:
         words = {word: getattr(o, word) for word in told}
-        entry = DeviceEntry(name=o.device.name, folder=o.device.folder, **words)
+        entry = DeviceEntry(name=o.device.name, folder=o.device.folder, note=o.device.note or None, **words)
         sets.setdefault(o.device.set_name, []).append(entry)
     inputs = ((f"{o.device.set_name}, {o.device.name}", name, digest) for o in outcomes for name, digest in o.inputs)
     return CampaignRecord(
         name=manifest.name,
         simulated=manifest.simulated or any(o.simulated for o in outcomes),
         warnings=tuple(repeated(inputs)),
-        sets=tuple(SetEntry(name=n, devices=tuple(own), connection=connections[n]) for n, own in sets.items()),
+        sets=tuple(
+            SetEntry(name=n, devices=tuple(own), connection=of_set[n].connection, note=of_set[n].set_note or None)
+            for n, own in sets.items()
+        ),
         together=tuple(together),
     )
 

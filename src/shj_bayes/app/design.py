@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -317,21 +317,10 @@ def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) ->
 
     Gives the design table and what to mind, for people.
     """
-    result = load_population(folder)
-    named = (name if name == ANY_SET else result.set_names[result.index(name)] for name in request.sets)
-    request = replace(request, sets=tuple(named))
-    campaign, specimens, words = read_devices(folder, result, request.sets)
-    asked = loading_history(request, specimens) if specimens else None
-    connections = connections_of(campaign, result)
-    lifts = lifting_words(asked, specimens, connections)
-    try:
-        tests, design = pool_of_tests(
-            folder, result, specimens, asked, extrapolate=request.extrapolate, progress=progress
-        )
-    except PopulationError as error:
-        raise PopulationError(f"{error}. {lifts}") if lifts else error from error
-    sheet = margins(design, tests, request, asked=asked, words=words, connections=connections, lifts=lifts)
-    speed = min(s.ranges["speed"] for s in specimens) if asked is None else float(asked.motion.speed_mm_s.max())
+    pooled = pooled_tests(folder, request, progress=progress)
+    sheet, asked, campaign = sheet_of(pooled, request), pooled.asked, pooled.campaign
+    slowest = min(s.ranges["speed"] for s in pooled.specimens)
+    speed = slowest if asked is None else float(asked.motion.speed_mm_s.max())
     loop_bands = loops(sheet.tests, speed) if len(sheet.tests) <= MOST_DRAWN else ()
     write_margins(sheet, folder)
     write_loops(loop_bands, folder)
@@ -343,6 +332,53 @@ def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) ->
     notes += ["", boxed] if boxed else []
     lines = [margin_text(sheet), "", *notes, "", *two_numbers(sheet)]
     return "\n".join(lines)
+
+
+class PooledTests(NamedTuple):
+    """Devices of a folder after their virtual tests: what margins are drawn up from, whatever is asked of them."""
+
+    sets: tuple[str, ...]  # that are asked for; empty for all
+    campaign: CampaignRecord | None
+    specimens: tuple[Specimen, ...]
+    words: tuple[str, ...]  # what the diagnoses found
+    asked: LoadingHistory | None
+    connections: dict[str, Connection]
+    lifts: str
+    tests: Tests
+    design: PopulationResult
+
+
+def pooled_tests(folder: Path, request: MarginOptions, *, progress: bool = False) -> PooledTests:
+    """Read the devices of a folder, and the tests and the pool that are kept beside them, or make these.
+
+    Of `request` only the sets, the history and whether to extrapolate count.
+    """
+    result = load_population(folder)
+    sets = tuple(name if name == ANY_SET else result.set_names[result.index(name)] for name in request.sets)
+    campaign, specimens, words = read_devices(folder, result, sets)
+    asked = loading_history(request, specimens) if specimens else None
+    connections = connections_of(campaign, result)
+    lifts = lifting_words(asked, specimens, connections)
+    try:
+        tests, design = pool_of_tests(
+            folder, result, specimens, asked, extrapolate=request.extrapolate, progress=progress
+        )
+    except PopulationError as error:
+        raise PopulationError(f"{error}. {lifts}") if lifts else error from error
+    return PooledTests(sets, campaign, specimens, words, asked, connections, lifts, tests, design)
+
+
+def sheet_of(known: PooledTests, request: MarginOptions) -> Sheet:
+    """Draw up the margins of pooled tests."""
+    return margins(
+        known.design,
+        known.tests,
+        replace(request, sets=known.sets),
+        asked=known.asked,
+        words=known.words,
+        connections=known.connections,
+        lifts=known.lifts,
+    )
 
 
 def export_analysis(

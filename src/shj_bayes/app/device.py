@@ -75,6 +75,7 @@ class Work:
     threads: int = 0  # ensembles that run at the same time, 0 for one per processor
     force: bool = False  # replace the result of another device in the folder
     tell: Callable[[str], None] = lambda _: None  # gets one line for each step
+    watch: Callable[[float, str], None] = lambda _share, _words: None  # gets how far sampling is
     # recordings of a device by their files, where one is fitted and diagnosed with the same options: read once
     held: dict[tuple[Path | Recording, ...], list[Recording]] | None = None
 
@@ -94,7 +95,12 @@ class Work:
     def plan(self, options: FitOptions, tops: tuple[FloatArray, ...] = ()) -> SamplingPlan:
         """How to sample; from `tops`, where the highest densities are known."""
         return SamplingPlan(
-            options.seed, max_steps=options.max_steps, tops=tops, threads=self.threads, progress=self.progress
+            options.seed,
+            max_steps=options.max_steps,
+            tops=tops,
+            threads=self.threads,
+            progress=self.progress,
+            watch=self.watch,
         )
 
 

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, Union, get_args, get_origin, get_ty
 
 from shj_bayes._util.files import folder_name, plain_name, read_toml, toml_line
 from shj_bayes.app.resume import check_priors
-from shj_bayes.errors import CampaignError, ShjError, did_you_mean, shown
+from shj_bayes.errors import CampaignError, ShjError, did_you_mean, plain_lines, shown
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DIAGNOSES, FitOptions
 from shj_bayes.population.device import NO_TAGS, Tags
@@ -20,6 +20,7 @@ from shj_bayes.results.campaign import SCHEMA, Connection
 
 MAX_DEVICES = 100_000
 MAX_BYTES = 50_000_000
+MAX_NOTE = 4000  # characters
 # What stands in a manifest for a kind of value, and how that is called.
 _FORMS: dict[Any, tuple[Any, str]] = {
     str: (str, "a text"),
@@ -57,6 +58,9 @@ class Device:
     # "quick", "full", "off": how to look for what the law leaves out: a first look, with the posterior of what is
     # found, or not at all
     diagnose: str = DIAGNOSES[0]
+    # note, set_note: what somebody wrote of it and of its set, for the report
+    note: str = ""
+    set_note: str = ""
     below: str = ""  # of a fit with what the set has: its folder in that of the device
 
     @property
@@ -101,14 +105,14 @@ def _devices(top: _Table) -> Iterator[Device]:
     for group in top.tables("set", "has no [[set]] table; each set needs a name and [[set.device]] tables"):
         set_name = group.text("name")
         at = group._replace(words=f"set '{set_name}'")
-        at.know(("name", "diagnose", "options", "device", "connection", *TAG_KINDS), "[set.options]")
+        at.know(("name", "note", "diagnose", "options", "device", "connection", *TAG_KINDS), "[set.options]")
         tags, for_set, connection = at.tags(), at.diagnose(diagnose), at.connection()
         members = at.tables("device", "has no [[set.device]] table (mind the double brackets)")
         own = at.options(defaults)
         for member in members:
             name = member._replace(words=at.words).text("name")
             here = member._replace(words=f"{at.words}, device '{name}'")
-            here.know(("name", "recordings", "runs", "diagnose", "options"), "[set.device.options]")
+            here.know(("name", "note", "recordings", "runs", "diagnose", "options"), "[set.device.options]")
             recordings, options = here.recordings(), own
             if "runs" in here.content:
                 options = here.with_option(own, "runs", here.content["runs"], "runs")
@@ -117,7 +121,8 @@ def _devices(top: _Table) -> Iterator[Device]:
                 _check(options, len(recordings))
             except ShjError as error:
                 raise here.error(f"cannot be fitted: {error}", "recordings") from error
-            yield Device(name, set_name, recordings, options, tags, connection, here.diagnose(for_set))
+            notes = here.note(), at.note()
+            yield Device(name, set_name, recordings, options, tags, connection, here.diagnose(for_set), *notes)
 
 
 # What cannot be read or fitted is refused once for all devices that name it: a thousand share their options.
@@ -169,6 +174,13 @@ class _Table(NamedTuple):
         if not isinstance(value, str) or not value.strip():
             raise self.error(f"has {key} = {shown(value)}; it needs a text", *([] if value is None else [key]))
         return plain_name(value)
+
+    def note(self) -> str:
+        """Give what somebody wrote, which changes no number."""
+        value = self.content.get("note", "")
+        if not isinstance(value, str) or len(value) > MAX_NOTE:
+            raise self.error(f"has note = {shown(value)}; it needs a text of at most {MAX_NOTE} characters", "note")
+        return plain_lines(value).strip()
 
     def recordings(self) -> tuple[Path, ...]:
         """Files of a device."""

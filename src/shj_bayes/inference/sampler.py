@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -145,6 +146,8 @@ class SamplingPlan:
     tops: tuple[FloatArray, ...] = field(default=(), compare=False)
     threads: int = 0  # ensembles that run at the same time, 0 for one per processor; the numbers do not depend on it
     progress: bool = False  # show a progress bar on standard error, where that is a terminal
+    # gets, after each round, the share of the steps that are likely to be needed that is done, and convergence in words
+    watch: Callable[[float, str], None] = field(default=lambda _share, _words: None, compare=False)
 
     def __post_init__(self) -> None:
         """Refuse plans from which no verdict can come."""
@@ -226,7 +229,9 @@ def run_ensembles(
         while True:
             figures = _figures(names, states)
             if figures is not None:
-                bar.set_postfix_str(f"R-hat {figures.rhat.max():.3f}, ESS {figures.ess_bulk.min():.0f}")
+                words = f"R-hat {figures.rhat.max():.3f}, ESS {figures.ess_bulk.min():.0f}"
+                bar.set_postfix_str(words)
+                plan.watch(min(1.0, states[0].chain.shape[0] / (_enough(figures) or plan.max_steps)), words)
                 if judge(figures).word == Trust.RELIABLE or states[0].chain.shape[0] >= plan.max_steps:
                     return states, figures
             steps = _next_round(plan, states[0].chain.shape[0], figures)
@@ -251,10 +256,16 @@ def _advance_all(
 def _next_round(plan: SamplingPlan, done: int, figures: Diagnostics | None) -> int:
     """Choose the steps to the next look: a round, or fewer where the chain will be long enough before its end."""
     steps = max(plan.round_steps, done // 5)  # a look costs in proportion to the chain: the longer, the fewer looks
-    if figures is not None and np.isfinite(figures.tau).all():
-        missing = int(np.ceil(SURE * (figures.n_burn + TAU_LIMIT * figures.tau.max()))) - done
-        steps = min(steps, missing) if missing > 0 else steps
+    missing = (_enough(figures) or 0) - done
+    steps = min(steps, missing) if missing > 0 else steps
     return min(max(steps, min(LEAST_ROUND, plan.round_steps)), plan.max_steps - done)
+
+
+def _enough(figures: Diagnostics | None) -> int | None:
+    """Estimate the steps after which the chain is long enough; None while there is nothing to tell it by."""
+    if figures is None or not np.isfinite(figures.tau).all():
+        return None
+    return int(np.ceil(SURE * (figures.n_burn + TAU_LIMIT * figures.tau.max())))
 
 
 def _figures(names: tuple[str, ...], states: list[EnsembleState]) -> Diagnostics | None:

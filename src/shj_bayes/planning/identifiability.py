@@ -28,7 +28,6 @@ from shj_bayes.results.fit import RemarkRecord
 
 DRAWS = 2000
 FEW_READINGS = 4  # on the way from one plateau to the other: fewer leave its shape to the prior
-MOST_TESTS = 3
 STEP = 1e-3  # of unbounded parameters, for central differences
 
 
@@ -118,12 +117,10 @@ def first_answer(runs: Sequence[Run], model: DeviceModel, *, threads: int = 0) -
     rng = np.random.default_rng(np.random.SeedSequence(1, spawn_key=(11,)))
     free = start.free + rng.standard_normal((DRAWS, start.free.size)) @ root_of(start.covariance).T
     natural = posterior.natural(free)
-    doubts, least = (), _least(posterior, start, forces[-1])
-    if least is None:
-        doubts = (Doubt.NEVER_SLIDES,)
+    least = _least(posterior, start, forces[-1])
     stiffness, capacity = (float(theta[posterior.model.index(name)]) for name in ("K", "Fy"))
     said = Identifiability(
-        doubts=doubts,
+        doubts=() if least else (Doubt.NEVER_SLIDES,),
         parameters=_expected(posterior, start, natural),
         remarks=remarks_of(posterior.model, natural),
         least_kN=None if least is None else least[0],
@@ -193,7 +190,7 @@ def _least(posterior: Posterior, start: Start, force_kN: FloatArray) -> tuple[fl
 
 
 def _in_knee(run: Run, reach_mm: float) -> FloatArray:
-    """Readings of each half-cycle within a distance of its beginning."""
+    """Count the readings of each half-cycle within a distance of its beginning."""
     motion = run.motion
     begins = np.repeat(motion.turning_mm[: motion.n_half], np.diff(motion.start))
     near = np.abs(motion.displacement_mm - begins) <= reach_mm

@@ -15,9 +15,11 @@ import numpy as np
 from shj_bayes._util.processes import program
 from shj_bayes.errors import ReportError
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.recording import Recording
 from shj_bayes.report import numbers as n
 from shj_bayes.report.diagnosis_numbers import DiagnosisData
-from shj_bayes.report.force_unit import force_unit
+from shj_bayes.report.force_unit import force_unit, unit_for
 from shj_bayes.report.numbers import DeviceFigures
 from shj_bayes.report.page import is_ours
 from shj_bayes.results.device import DeviceData, IntArray
@@ -71,6 +73,26 @@ def diagnosis_viewer(data: DiagnosisData) -> dict[str, Any]:
         runs.append(_run(f"run {run}", channels, cycles, turns, MAX_POINTS // which.size))
     names = {"before": "base law", "after": "with what was found" if c.changed else "", "band": ""}
     return _whole(runs, names, "base", data.force.name)
+
+
+def recording_viewer(
+    runs: Sequence[tuple[Recording, Motion | None]], forces_kN: Sequence[FloatArray] = ()
+) -> dict[str, Any]:
+    """Loops of recordings, with the force of a model where there is one; as `device_viewer`."""
+    shown, out = runs[:MOST], []
+    unit = unit_for(max(float(np.abs(recording.force_kN).max()) for recording, _ in shown))
+    for i, (recording, motion) in enumerate(shown):
+        start = np.array([0, recording.n_samples]) if motion is None else motion.start
+        channels = {
+            "t": recording.time_s,
+            "x": recording.displacement_mm,
+            "measured": unit.factor * recording.force_kN,
+        }
+        if forces_kN:
+            channels["before"] = unit.factor * forces_kN[i]
+        marks = np.append(start[:-1:2], start[-1])
+        out.append(_run(f"run {i + 1}", channels, marks, start[1:-1], MAX_POINTS // len(shown)))
+    return _whole(out, {"before": "model", "after": "", "band": ""}, "model", unit.name)
 
 
 def thinning_words(viewer: Mapping[str, Any]) -> str:

@@ -129,6 +129,7 @@ def render_campaign(
         "simulated": record.simulated,
         "warnings": record.warnings,
         "devices": devices,
+        "notes": [(group.name, group.note) for group in record.sets if group.note],
         "done": done,
         "delivered": delivered(margins or {}),
         "fastest": ((margins or {}).get("tested") or {}).get("fastest_mm_s"),

@@ -31,6 +31,7 @@ class DeviceEntry:
     diagnosis_reason: str = ""
     with_set: Annotated[str, {"enum": (*Trust, "failed", "")}] = ""
     with_set_reason: str = ""
+    note: str | None = field(default=None, metadata=IF_KNOWN)  # what somebody wrote of it
 
     @property
     def usable_with_set(self) -> bool:
@@ -76,6 +77,7 @@ class SetEntry:
     name: str
     devices: tuple[DeviceEntry, ...]
     connection: Connection | None = field(default=None, metadata=IF_KNOWN)
+    note: str | None = field(default=None, metadata=IF_KNOWN)  # what somebody wrote of it
 
 
 @dataclass(frozen=True, kw_only=True)

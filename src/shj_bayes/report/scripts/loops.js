@@ -59,14 +59,14 @@
     const labelled = (words, ...nodes) => el("label", {}, words, " ", ...nodes);
     box.append(
       el("div", { class: "bar" }, labelled("Run", choice), labelled("Cycles", cycle), button("+", "Zoom in", () => zoomBy(0.6)), button("−", "Zoom out", () => zoomBy(1 / 0.6)), button("Whole loop", "Show the whole loop", () => { state.zoom = null; draw(); })),
-      el("div", { class: "bar" }, tick("measured", "measured"), tick("before", data.names.before), ...(runs[0].after ? [tick("after", data.names.after)] : []), ...(runs[0].low ? [tick("band", data.names.band)] : [])),
+      el("div", { class: "bar" }, tick("measured", "measured"), ...(runs[0].before ? [tick("before", data.names.before)] : []), ...(runs[0].after ? [tick("after", data.names.after)] : []), ...(runs[0].low ? [tick("band", data.names.band)] : [])),
       ...(runs[0].after ? [el("div", { class: "bar" }, el("label", {}, wiper, " Before | after: wipe across"), wipe)] : []),
       canvas, said,
       el("div", { class: "bar" }, play, labelled("Time", time), labelled("Speed", speed), button("CSV", "Download the points of this run as CSV", save)),
       strip,
     );
     const loops = new Sheet(canvas, "displacement (mm)", `force (${unit})`);
-    const left = new Sheet(strip, "time (s)", `residual (${unit})`);
+    const left = new Sheet(strip, "time (s)", runs[0].before ? `residual (${unit})` : `force (${unit})`);
 
     const run = () => runs[state.run];
     const span = () => {
@@ -218,13 +218,14 @@
       const minus = (name) => r[name] && r.measured.map((force, i) => force - r[name][i]);
       const before = minus("before");
       const after = minus("after");
-      left.begin([r.t[0], r.t[r.t.length - 1]], extent(before, after));
+      left.begin([r.t[0], r.t[r.t.length - 1]], before ? extent(before, after) : extent(r.measured));
       left.inside((pen) => {
         if (state.cycle >= 0) {
           pen.fillStyle = colour("--card");
           pen.fillRect(left.px(r.t[a]), EDGE.top, left.px(r.t[b - 1]) - left.px(r.t[a]), left.high);
         }
-        if (show.before) left.line(r.t, before, 0, r.t.length, colour(inks.before), 0.8);
+        if (!before) left.line(r.t, r.measured, 0, r.t.length, colour("--soft"), 0.8);
+        else if (show.before) left.line(r.t, before, 0, r.t.length, colour(inks.before), 0.8);
         if (show.after && after) left.line(r.t, after, 0, r.t.length, colour(inks.after), 0.8);
         if (state.at !== null) {
           pen.strokeStyle = colour("--ink");
@@ -310,6 +311,7 @@
     if (data.cycle !== undefined) pickCycle(data.cycle);
   };
 
+  window.showLoops = view;
   document.documentElement.classList.add("js");
   for (const box of document.querySelectorAll("[data-loops]")) view(box, JSON.parse(document.getElementById(box.dataset.loops).textContent));
 })();

@@ -1,0 +1,349 @@
+"""The folder that is worked in: an ordinary campaign folder. A page names files, devices and sets by ids alone.
+
+``campaign.toml`` is the manifest that the commands read. ``bench/memory.json`` holds what they have no use for: files
+that belong to no device yet, and the columns that were chosen for each form of file.
+"""
+
+import json
+import re
+import shutil
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from shj_bayes._util.files import plain_name, read_json, write_text
+from shj_bayes.errors import CampaignError, plain_lines, plain_text, shown
+
+MANIFEST, MEMORY, RECORDINGS = "campaign.toml", "bench/memory.json", "recordings"
+KEPT = "campaign-before-bench.toml"  # a manifest that somebody wrote by hand, as it was
+HEAD = "# Written by shj-bayes bench; the commands read it too.\n"
+SCHEMA = "shj-bayes/campaign/1"
+MOST_FILES, MOST_NAME, MOST_NOTE = 5000, 80, 4000
+READING = ("columns", "units", "rate_Hz", "sheet", "runs")  # options of reading, which files of a form share
+CHOSEN = (*READING, "model", "noise", "priors")  # options that a page may set
+CONNECTION = {
+    **{"bolts": int, "surfaces": int, "bolt_mm": float, "clamping_kN": float, "slot_mm": float},
+    **{"bolt_grade": str, "shim": str, "finish": str, "displacement": str},
+}
+_RUN = re.compile(r"^(.*?)[\s_.-]*(?:run|r)[\s_.-]*(\d+)$", re.IGNORECASE)
+_NUMBERED = re.compile(r"^(.*?)[\s_.-]*\d+$")
+_UNSAFE = re.compile(r"[^\w .()+-]+")
+
+
+@dataclass(eq=False)
+class DeviceTable:
+    """A device of the manifest."""
+
+    id: str
+    content: dict[str, Any]  # its table
+    files: list[str] = field(default_factory=list)  # ids of its recordings, in the order they were run
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return str(self.content["name"])
+
+
+@dataclass(eq=False)
+class SetTable:
+    """A set of the manifest."""
+
+    id: str
+    content: dict[str, Any]  # its table without its devices
+    devices: list[DeviceTable] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return str(self.content["name"])
+
+
+class Session:
+    """Files, devices and sets of a folder; what is changed is written at once."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.files: dict[str, Path] = {}
+        self.sets: list[SetTable] = []
+        self.forms: dict[str, dict[str, Any]] = {}
+        self.top: dict[str, Any] = {"schema": SCHEMA, "name": plain_name(folder.name)}
+        self._numbers = count(1)
+        self._read()
+
+    def _read(self) -> None:
+        memory = read_json(self.folder / MEMORY, CampaignError) if (self.folder / MEMORY).is_file() else {}
+        forms = memory.get("forms") if isinstance(memory, dict) else None
+        for form, chosen in (forms or {}).items():
+            self.forms[str(form)] = (
+                {k: v for k, v in chosen.items() if k in READING} if isinstance(chosen, dict) else {}
+            )
+        manifest = self.folder / MANIFEST
+        if manifest.is_file():
+            text = manifest.read_text(encoding="utf-8")
+            try:
+                content = tomllib.loads(text)
+                self._take(content)
+            except (tomllib.TOMLDecodeError, KeyError, TypeError, AttributeError) as error:
+                raise CampaignError(
+                    f"{MANIFEST} in {self.folder.name} is none that the bench can go on with "
+                    f"({type(error).__name__}: {plain_text(str(error))[:200]}); mend it, or open another folder"
+                ) from error
+            if not text.startswith(HEAD):
+                shutil.copyfile(manifest, self.folder / KEPT)
+        known = {path.resolve() for path in self.files.values()}
+        loose = sorted((self.folder / RECORDINGS).iterdir()) if (self.folder / RECORDINGS).is_dir() else []
+        for path in loose:
+            if path.is_file() and not path.name.startswith(".") and path.resolve() not in known:
+                self._id_of(path)
+
+    def _take(self, content: Mapping[str, Any]) -> None:
+        self.top = {key: value for key, value in content.items() if key != "set"}
+        for table in content.get("set", ()):
+            own = SetTable(f"s{next(self._numbers)}", {k: v for k, v in table.items() if k != "device"})
+            for device in table.get("device", ()):
+                files = [self._id_of(self.folder / str(name)) for name in device["recordings"]]
+                one = DeviceTable(f"d{next(self._numbers)}", dict(device), files)
+                assert one.name
+                own.devices.append(one)
+            assert own.name
+            self.sets.append(own)
+
+    def _id_of(self, path: Path) -> str:
+        known = next((key for key, one in self.files.items() if one == path), None)
+        key = known or f"f{next(self._numbers)}"
+        self.files[key] = path
+        return key
+
+    def inside(self) -> bool:
+        """Whether every recording lies in the folder; those of a folder from elsewhere must."""
+        root = self.folder.resolve()
+        return all(path.resolve().is_relative_to(root) for path in self.files.values())
+
+    @property
+    def devices(self) -> Iterator[tuple[SetTable, DeviceTable]]:
+        """All devices, each with its set."""
+        return ((group, device) for group in self.sets for device in group.devices)
+
+    def device(self, key: str) -> tuple[SetTable, DeviceTable]:
+        """Find a device by its id; `CampaignError` where there is none."""
+        found = next((pair for pair in self.devices if pair[1].id == key), None)
+        if found is None:
+            raise CampaignError(f"there is no device {shown(key, 20)} here any more; load the page again")
+        return found
+
+    def group(self, key: str) -> SetTable:
+        """Find a set by its id; `CampaignError` where there is none."""
+        found = next((one for one in self.sets if one.id == key), None)
+        if found is None:
+            raise CampaignError(f"there is no set {shown(key, 20)} here any more; load the page again")
+        return found
+
+    def file(self, key: str) -> Path:
+        """Find a file by its id; `CampaignError` where there is none."""
+        if key not in self.files:
+            raise CampaignError(f"there is no file {shown(key, 20)} here any more; load the page again")
+        return self.files[key]
+
+    def reading_of(self, key: str) -> dict[str, Any]:
+        """Options with which a file is read: those of the device that it belongs to."""
+        for group, device in self.devices:
+            if key in device.files:
+                given = {**self.top.get("defaults", {}), **group.content.get("options", {})}
+                given |= device.content.get("options", {})
+                given |= {"runs": device.content["runs"]} if "runs" in device.content else {}
+                return {name: value for name, value in given.items() if name in READING}
+        return {}
+
+    def place_for(self, name: str) -> Path:
+        """Give the path for a file that comes in under a name, which is used as a name alone."""
+        if len(self.files) >= MOST_FILES:
+            raise CampaignError(f"{MOST_FILES} files are in this folder already; begin another one")
+        base = _UNSAFE.sub("_", plain_text(name.replace("\\", "/").rpartition("/")[2])).strip(" .")[-MOST_NAME:]
+        stem, dot, endings = (base or "recording").partition(".")
+        folder = self.folder / RECORDINGS
+        folder.mkdir(parents=True, exist_ok=True)
+        tries = (f"{stem or 'recording'}{f'-{n}' if n else ''}{dot}{endings}" for n in count())
+        return next(folder / one for one in tries if not (folder / one).exists())
+
+    def add(self, path: Path, form: str = "") -> str:
+        """Take a file in: a run of the device that its name belongs to, or a new device. Give its id.
+
+        A file of a form whose columns were chosen before is read with them.
+        """
+        key = self._id_of(path)
+        stem = path.name.removesuffix(".gz").rpartition(".")[0] or path.name
+        parts = _RUN.match(stem)
+        name = plain_name(parts[1] if parts and parts[1] else stem)
+        if parts:
+            mine = next((d for _, d in self.devices if d.name == name and self._in_folder(d)), None)
+            if mine is not None:
+                mine.files = sorted([*mine.files, key], key=lambda one: _number(self.files[one]))
+                self.write()
+                return key
+        numbered = _NUMBERED.match(name)
+        self._set_named(plain_name(numbered[1]) if numbered and numbered[1] else "Set 1").devices.append(
+            DeviceTable(f"d{next(self._numbers)}", {"name": self._free_name(name)}, [key])
+        )
+        if form in self.forms:
+            self.set_reading(key, self.forms[form])
+        self.write()
+        return key
+
+    def _in_folder(self, device: DeviceTable) -> bool:
+        return all(self.files[key].parent == self.folder / RECORDINGS for key in device.files)
+
+    def _free_name(self, name: str) -> str:
+        taken = {device.name for _, device in self.devices}
+        return next(one for n in count(1) if (one := name if n == 1 else f"{name} ({n})") not in taken)
+
+    def _set_named(self, name: str) -> SetTable:
+        own = next((one for one in self.sets if one.name == name), None)
+        if own is None:
+            own = SetTable(f"s{next(self._numbers)}", {"name": name})
+            self.sets.append(own)
+        return own
+
+    def remove(self, key: str) -> None:
+        """Take a file out of the folder, and its device where that has no other."""
+        path = self.file(key)
+        for group in self.sets:
+            for device in group.devices:
+                device.files = [one for one in device.files if one != key]
+            group.devices = [device for device in group.devices if device.files]
+        self.sets = [group for group in self.sets if group.devices]
+        if path.parent == self.folder / RECORDINGS:
+            path.unlink(missing_ok=True)
+        del self.files[key]
+        self.write()
+
+    def set_reading(self, key: str, options: Mapping[str, Any], form: str = "") -> None:
+        """Choose how the device of a file is read, and files of the same form that come later."""
+        chosen = _plain_options(options, READING)
+        for _, device in self.devices:
+            if key in device.files:
+                kept = {n: v for n, v in device.content.get("options", {}).items() if n not in READING}
+                device.content["options"] = kept | chosen
+                device.content.pop("runs", None)
+        if form:
+            self.forms[form] = chosen
+        self.write()
+
+    def arrange(self, wanted: Any) -> None:
+        """Put files into devices and devices into sets, as a list of sets with ids says; names come with it."""
+        try:
+            sets = []
+            for entry in wanted:
+                own = next((one for one in self.sets if one.id == entry.get("id")), None)
+                own = own or SetTable(f"s{next(self._numbers)}", {})
+                own.content["name"] = plain_name(str(entry["name"]))
+                devices = []
+                for one in entry["devices"]:
+                    device = next((d for _, d in self.devices if d.id == one.get("id")), None)
+                    device = device or DeviceTable(f"d{next(self._numbers)}", {})
+                    device.content["name"] = plain_name(str(one["name"]))
+                    device.files = [str(key) for key in one["files"]]
+                    devices.append(device)
+                    for key in device.files:
+                        self.file(key)
+                sets.append((own, [device for device in devices if device.files]))
+        except (TypeError, KeyError, AttributeError) as error:
+            raise CampaignError(f"an arrangement that cannot be read ({type(error).__name__})") from error
+        for own, devices in sets:
+            names = [device.name for device in devices]
+            twice = next((name for name in names if names.count(name) > 1), None)
+            if twice:
+                raise CampaignError(f"two devices of the set '{own.name}' are called '{twice}'; rename one of them")
+        names = [own.name for own, _ in sets]
+        if len(set(names)) < len(names):
+            raise CampaignError("two sets have the same name; rename one of them")
+        used = [key for _, devices in sets for device in devices for key in device.files]
+        if len(set(used)) < len(used):
+            raise CampaignError("a file belongs to one device alone")
+        for own, devices in sets:
+            own.devices = devices
+        self.sets = [own for own, devices in sets if devices]
+        self.write()
+
+    def describe_set(self, key: str, said: Mapping[str, Any]) -> None:
+        """Set what is known of a set: its connection as tested, and a note."""
+        own = self.group(key)
+        connection = {}
+        for name, value in dict(said.get("connection") or {}).items():
+            if name not in CONNECTION:
+                raise CampaignError(f"a connection has no {shown(name, 30)}; known are {', '.join(CONNECTION)}")
+            if value in ("", None):
+                continue
+            try:
+                connection[name] = CONNECTION[name](value)
+            except (TypeError, ValueError) as error:
+                raise CampaignError(f"{name} = {shown(value)} is no number") from error
+        _put(own.content, "connection", connection)
+        _put(own.content, "note", _note(said.get("note")))
+        self.write()
+
+    def describe_device(self, key: str, said: Mapping[str, Any]) -> None:
+        """Set what is known of a device: options of its fit, and a note."""
+        _, device = self.device(key)
+        if "options" in said:
+            kept = {n: v for n, v in device.content.get("options", {}).items() if n not in CHOSEN}
+            _put(device.content, "options", kept | _plain_options(said["options"], CHOSEN))
+            device.content.pop("runs", None)
+        if "note" in said:
+            _put(device.content, "note", _note(said["note"]))
+        self.write()
+
+    def write(self) -> None:
+        """Write the manifest and what the bench remembers."""
+        (self.folder / MEMORY).parent.mkdir(parents=True, exist_ok=True)
+        write_text(self.folder / MEMORY, json.dumps({"forms": self.forms}, indent=1))
+        if not self.sets:
+            (self.folder / MANIFEST).unlink(missing_ok=True)
+            return
+        tables = [
+            group.content
+            | {"device": [device.content | {"recordings": self._paths(device)} for device in group.devices]}
+            for group in self.sets
+        ]
+        write_text(self.folder / MANIFEST, HEAD + tomlkit.dumps({**self.top, "set": tables}))
+
+    def _paths(self, device: DeviceTable) -> list[str]:
+        """Paths of a device's recordings as a manifest writes them: below its folder, with forward slashes."""
+        return [
+            path.relative_to(self.folder).as_posix() if path.is_relative_to(self.folder) else str(path)
+            for path in map(self.files.__getitem__, device.files)
+        ]
+
+
+def _number(path: Path) -> tuple[int, str]:
+    parts = _RUN.match(path.name.removesuffix(".gz").rpartition(".")[0])
+    return int(parts[2][:9]) if parts else 0, path.name
+
+
+def _put(table: dict[str, Any], key: str, value: Any) -> None:
+    """Put a value into a table, or take the key out where there is none."""
+    table.pop(key, None)
+    if value:
+        table[key] = value
+
+
+def _note(said: Any) -> str:
+    return plain_lines(str(said or ""))[:MOST_NOTE].strip()
+
+
+def _plain_options(options: Any, known: tuple[str, ...]) -> dict[str, Any]:
+    """Options as a manifest holds them; empty ones are left out."""
+    chosen: dict[str, Any] = {}
+    for name, value in dict(options).items():
+        if name not in known:
+            raise CampaignError(f"{shown(name, 30)} is no option here; known are {', '.join(known)}")
+        if value in ("", None):
+            continue
+        if not isinstance(value, str | int | float) or isinstance(value, bool):
+            raise CampaignError(f"{name} = {shown(value)}; it needs a text or a number")
+        chosen[name] = plain_text(value)[:400] if isinstance(value, str) else value
+    return chosen

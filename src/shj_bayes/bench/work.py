@@ -1,0 +1,254 @@
+"""What a page waits for, done in a process of its own by the functions of the commands; results are plain values.
+
+Each function takes the folder first and ends with `tell`, which says how far it is. What fails raises, and is told in
+words by who asked.
+"""
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from shj_bayes.app.campaign import fit_one, run_campaign, summarise_campaign
+from shj_bayes.app.design import PooledTests, compare_sets, pooled_tests, sheet_of, write_comparison
+from shj_bayes.app.device import Work, remarked
+from shj_bayes.app.manifest import Device, read_manifest
+from shj_bayes.app.plan import plan_next
+from shj_bayes.app.resume import POPULATION, design_margins, kept_result, priors_of
+from shj_bayes.errors import CampaignError, RecordingError, ShjError
+from shj_bayes.inference.run import runs_of
+from shj_bayes.options import FitOptions, MarginOptions, PlanOptions
+from shj_bayes.planning.identifiability import first_answer
+from shj_bayes.recording.motion import Motion, motion_of
+from shj_bayes.recording.reader import read, read_table
+from shj_bayes.recording.recording import Recording
+from shj_bayes.recording.runs import describe, settle, to_dict
+from shj_bayes.report import words
+from shj_bayes.report.browse import recording_viewer
+from shj_bayes.report.check_words import check_lines, confusion_rows, doubt_lines, parameter_rows
+from shj_bayes.report.force_unit import force_unit
+from shj_bayes.report.margins_page import shown_cards
+from shj_bayes.results.campaign import CampaignRecord
+from shj_bayes.results.diagnosis import DiagnosisRecord, LeftOver
+from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.store import DIAGNOSIS, digests, find
+
+MANIFEST = "campaign.toml"
+FIRST_ROWS = 8  # of a file, for choosing its columns
+HISTORY = "bench/history.csv"
+Tell = Callable[[float | None, str], None]
+Told = dict[str, Any]
+
+
+def prepare() -> None:
+    """Compile or load what the first answer needs, so that nobody waits for it."""
+    from shj_bayes.model.simulate import Truth, simulate_device  # noqa: PLC0415  (here alone)
+
+    runs = runs_of(simulate_device(Truth(gamma=1 / 60), seed=1, rate_Hz=10.0))
+    first_answer(runs, FitOptions().device_model(len(runs), priors_of(FitOptions())))
+
+
+def ready(tell: Tell) -> bool:
+    """Answer, once the process has begun."""
+    return True
+
+
+def read_file(folder: Path, path: Path, options: Mapping[str, Any], tell: Tell) -> Told:
+    """Read one file with options of `FitOptions`: what was found in it, its loops, and columns to choose from."""
+    chosen = FitOptions(**options)
+    told: Told = {"name": path.name, "usable": False, "error": "", "runs": [], "columns": [], "rows": [], "form": ""}
+    try:
+        table = read_table(path, chosen.sheet)
+    except ShjError as error:
+        return told | {"error": str(error)}
+    told["columns"] = [column.header or column.name for column in table.columns]
+    told["rows"] = [
+        ["" if not np.isfinite(v) else f"{v:.6g}" for v in row]
+        for row in zip(*(column.values[:FIRST_ROWS].tolist() for column in table.columns), strict=False)
+    ]
+    told["form"] = _digest(table.format, *told["columns"])
+    try:
+        recording = read(path, columns=chosen.columns, units=chosen.units, rate_Hz=chosen.rate_Hz, sheet=chosen.sheet)
+        recordings = settle([recording], chosen.runs)
+    except ShjError as error:
+        return told | {"error": str(error)}
+    pairs = [(one, _motion(one)) for one in recordings]
+    return told | {
+        "usable": all(one.usable for one in recordings),
+        "runs": [to_dict(*pair) for pair in pairs],
+        "text": "\n\n".join(describe(*pair) for pair in pairs),
+        "viewer": recording_viewer(pairs),
+    }
+
+
+def _motion(recording: Recording) -> Motion | None:
+    try:
+        return motion_of(recording)
+    except RecordingError:
+        return None
+
+
+def _digest(*texts: str) -> str:
+    return hashlib.sha256("\0".join(texts).encode("utf-8", "replace")).hexdigest()[:16]
+
+
+def overview(folder: Path, tell: Tell) -> Told:
+    """Say what of the campaign is done: the verdicts and numbers of each device, and which pages there are."""
+    if not (folder / MANIFEST).is_file():
+        return {"error": "", "devices": [], "pooled": False, "pages": []}
+    try:
+        manifest = read_manifest(folder / MANIFEST)
+    except ShjError as error:
+        return {"error": str(error), "devices": [], "pooled": False, "pages": []}
+    record = find(CampaignRecord, folder)
+    devices = [_state(folder, device) for device in manifest.devices]
+    done = {(name, one.name) for name, one in record.devices if one.status != "failed"} if record else set()
+    fitted = {(one["set"], one["name"]) for one in devices if one["fit"]}
+    pooled = bool(fitted) and (folder / "population.json").is_file() and done == fitted
+    pages = [name for name in ("report", "margins") if (folder / f"{name}.html").is_file()]
+    return {"error": "", "devices": devices, "pooled": pooled, "pages": pages if pooled else []}
+
+
+def _state(folder: Path, device: Device) -> Told:
+    """Say what is finished of a device, and unchanged since."""
+    told: Told = {"set": device.set_name, "name": device.name, "fit": "", "diagnosis": "", "numbers": [], "pages": []}
+    place = folder / device.folder
+    kept = kept_result(device.recordings, place, asdict(device.options), device.name)
+    if kept is None:
+        return told
+    record: FitRecord = kept.record
+    left, looked = find(LeftOver, place), find(DiagnosisRecord, place / DIAGNOSIS)
+    unit = force_unit(record)
+    numbers = [
+        {"name": row.name, "value": words.rounded(row.q50, row.sd), "interval": words.interval(row), "unit": row.unit}
+        for row in map(unit.row, record.parameters)
+        if row.name not in record.undetermined
+    ]
+    pages = [("report", "report.html"), ("diagnosis", f"{DIAGNOSIS}/diagnosis.html"), ("plan", "next/plan.html")]
+    return told | {
+        "fit": record.verdict,
+        "reasons": list(record.reasons),
+        "left": words.left_words(left, record.model.effects) if left else "",
+        "diagnosis": looked.verdict if looked else "",
+        "numbers": numbers,
+        "pages": [name for name, page in pages if (place / page).is_file()],
+        "folder": device.folder,
+    }
+
+
+def device_in(folder: Path, set_name: str, name: str) -> Device:
+    """Find a device of the campaign."""
+    return next(d for d in read_manifest(folder / MANIFEST).devices if (d.set_name, d.name) == (set_name, name))
+
+
+def check(folder: Path, set_name: str, name: str, tell: Tell) -> Told:
+    """Say what the recordings of a device can tell, with its most probable loop; what stands in the way of a fit."""
+    device = device_in(folder, set_name, name)
+    how = device.options
+    given = [
+        read(path, columns=how.columns, units=how.units, rate_Hz=how.rate_Hz, sheet=how.sheet)
+        for path in device.recordings
+    ]
+    recordings = remarked(settle(given, how.runs), how.free)
+    found = [f for one in recordings for f in one.findings]
+    blocking = [f.message for f in found if f.severity == "unusable"]
+    if blocking:
+        pairs = [(one, _motion(one)) for one in recordings]
+        return {"passed": False, "reasons": blocking, "lines": [], "viewer": recording_viewer(pairs), "rows": []}
+    runs = runs_of(recordings)
+    answer = first_answer(runs, how.device_model(len(runs), priors_of(how)))
+    said = answer.said
+    reasons = doubt_lines(said)
+    rmse = "" if said.rmse_kN is None else f"{said.rmse_kN:.3g} kN"
+    return {
+        "passed": not reasons,
+        "reasons": reasons,
+        "warnings": [f.message for f in found if f.severity == "warning"],
+        "lines": check_lines(said, how.priors),
+        "confusions": confusion_rows(said),
+        "rows": parameter_rows(said),
+        "rmse": rmse,
+        "half_cycles": said.half_cycles,
+        "viewer": recording_viewer([(run.recording, run.motion) for run in runs], answer.force_kN),
+    }
+
+
+def fit(folder: Path, set_name: str, name: str, threads: int, tell: Tell) -> Told:
+    """Fit and diagnose one device as a campaign does."""
+
+    def step(line: str) -> None:
+        tell(None, line)
+
+    work = Work(threads=threads, tell=step, watch=lambda share, words: tell(share, f"sampling: {words}"))
+    outcome = fit_one(device_in(folder, set_name, name), folder, work)
+    if outcome.failures and outcome.status == "failed":
+        raise CampaignError(outcome.failures[0])
+    return {"verdict": outcome.verdict, "failures": list(outcome.failures)}
+
+
+def pool(folder: Path, workers: int, tell: Tell) -> Told:
+    """Do what `shj-bayes campaign` does: what is missing of the devices, population, margins and report."""
+    manifest = read_manifest(folder / MANIFEST)
+    tell(None, f"devices: {len(manifest.devices)}")
+    outcomes = run_campaign(manifest, folder, workers=workers)
+    tell(None, "pooling, margins and report")
+    result = summarise_campaign(outcomes, folder, seed=1)
+    return {"text": result.text, "usable": result.usable}
+
+
+def _request(folder: Path, asked: Mapping[str, Any]) -> MarginOptions:
+    """Options of the margins from those of a page, of which a history is the file of the folder."""
+    chosen = {name: value for name, value in asked.items() if name not in ("history", "drift")}
+    if isinstance(chosen.get("sets"), list):
+        chosen["sets"] = tuple(chosen["sets"])
+    for name in ("history", "drift"):
+        if asked.get(name):
+            chosen[name] = folder / HISTORY
+    return MarginOptions(**chosen)
+
+
+@lru_cache(maxsize=2)
+def _pooled(folder: Path, stamp: str, request: MarginOptions) -> PooledTests:
+    return pooled_tests(folder, request)
+
+
+def card(folder: Path, asked: Mapping[str, Any], tell: Tell) -> Told:
+    """Draw up the card of each set; what needs no new pooling comes from what is kept in memory."""
+    request = _request(folder, asked)
+    drawn = MarginOptions(
+        **{
+            name: getattr(request, name)
+            for name in (
+                *("amplitude_mm", "speed_mm_s", "cycles", "history", "drift", "storey_height", "lever_arm"),
+                *("brace_angle_deg", "extrapolate"),
+            )
+            if request.drift is not None or name not in ("storey_height", "lever_arm", "brace_angle_deg")
+        }
+    )
+    stamp = str(digests(folder, [*POPULATION, "campaign.json", HISTORY]))
+    sheet = sheet_of(_pooled(folder, stamp, drawn), request)
+    return {"cards": shown_cards(sheet), "warnings": list(sheet.warnings), "history": sheet.history}
+
+
+def margins(folder: Path, asked: Mapping[str, Any], tell: Tell) -> Told:
+    """Draw up and write the margins, as `shj-bayes margins` does."""
+    tell(None, "drawing up the margins")
+    return {"text": design_margins(folder, _request(folder, asked)).text}
+
+
+def compare(folder: Path, set_a: str, set_b: str, tell: Tell) -> Told:
+    """Compare two sets."""
+    record, _ = compare_sets(folder, set_a, set_b)
+    write_comparison(record, folder / "compare")
+    return record
+
+
+def plan(folder: Path, set_name: str, name: str, limits: Mapping[str, Any], tell: Tell) -> Told:
+    """Plan the next test of a device within the limits of a rig."""
+    place = folder / device_in(folder, set_name, name).folder
+    result = plan_next([place], place / "next", PlanOptions(**limits), tell=lambda line: tell(None, line))
+    return {"text": result.text}
