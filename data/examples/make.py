@@ -1,4 +1,4 @@
-"""Make the example recordings anew: ``python data/examples/make.py`` (the same files to the last digit).
+"""Make the example recordings anew: ``python data/examples/make.py`` (the files here are rounded to six digits).
 
 Two sets of three simulated devices. Their parameters are scattered around two published rows (Bisalloy 500 bare,
 Table 3; zinc 70 %, Table 4) by made-up device-to-device spreads, so that the demo has something to pool and to compare.
@@ -11,6 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from shj_bayes.app.device import write_simulated
+from shj_bayes.model.simulate import Truth
+from shj_bayes.recording.recording import write_csv
+from shj_validation.proof.cases import stated_key
+from shj_validation.proof.make import make
 
 FOLDER = Path(__file__).parent
 SEED = 2026
@@ -29,17 +33,18 @@ def main() -> None:
         for device in range(1, 4):
             truth = {key: centre[key] * float(np.exp(s * rng.standard_normal())) for key, s in SPREAD.items()}
             gamma = centre["gamma"] + SPREAD_GAMMA * float(rng.standard_normal())
-            write_simulated(
-                FOLDER / f"{name}-{device}",
-                dep_mm_s=round(1 / gamma, 2),
-                seed=100 * number + device,
-                rate_Hz=5.0,
-                digits=6,
-                beta=centre["beta"],
-                sigma=1.0,
-                phi=0.7,
-                **{key: round(value, 4) for key, value in truth.items()},
-            )
+            stated = {key: round(value, 4) for key, value in truth.items()}
+            device_truth = Truth(beta=centre["beta"], gamma=1 / round(1 / gamma, 2), sigma=1.0, phi=0.7, **stated)
+            write_simulated(FOLDER / f"{name}-{device}", device_truth, seed=100 * number + device, rate_Hz=5.0)
+    prying()
+
+
+def prying() -> None:
+    """Write a device that loses clamping off centre and knows no speed, by a simulator of the proof."""
+    key = stated_key("prying", 0.17, seed=2, rate_Hz=5.0, gamma=0.0, K=18.0, Fy=80.0, beta=10.0, ratio=0.875)
+    words = "SIMULATED by shj-bayes (data/examples/make.py); not a measurement. Truth: prying, no speed dependence"
+    for run, one in enumerate(make(key), start=1):
+        write_csv(FOLDER / f"prying-run{run}.csv", one.recording, comment=words)
 
 
 if __name__ == "__main__":

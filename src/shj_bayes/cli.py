@@ -341,6 +341,24 @@ def _run_campaign(manifest: Path, out: Path, *, seed: int, output: Output, **how
 
 
 @main.command()
+@click.argument("folder", type=PATH, default=Path("shj-bayes-bench"), metavar="[FOLDER]")
+@click.option("--no-browser", is_flag=True, help="Print the file that opens it, and open nothing.")
+@click.option("--shortcut", is_flag=True, help="Put an entry for it on the desk, and end.")
+def bench(folder: Path, no_browser: bool, shortcut: bool) -> None:
+    """Do the whole job in the browser, on this machine alone.
+
+    FOLDER is an ordinary campaign folder, or a file that a bench made of one.
+    """
+    from shj_bayes.bench.server import opened, put_shortcut, serve
+
+    place = opened(folder)
+    if shortcut:
+        _say(put_shortcut(place))
+    else:
+        serve(place, browser=not no_browser, tell=_say)
+
+
+@main.command()
 @_out("shj-bayes-tables")
 @SEED
 @_with_output

@@ -26,6 +26,7 @@ ROOMS = (
     "planning",
     "report",
     "app",
+    "bench",
 )
 FACE = ("__main__", "api", "cli")  # alone leads to what validates
 EXPLAINED = ("_util", "recording", "model", "results", "inference")

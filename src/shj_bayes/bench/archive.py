@@ -6,6 +6,7 @@ that others can tell what is in it without this program.
 
 import json
 import os
+import shutil
 import zipfile
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -62,7 +63,7 @@ def _crate(folder: Path, files: list[Path]) -> dict[str, Any]:
         "@id": "./",
         "@type": "Dataset",
         "name": folder.name,
-        "description": f"Recordings, options, results and notes; `shj-bayes campaign {MANIFEST} -o .` makes them again.",
+        "description": f"Recordings, options, results, notes; `shj-bayes campaign {MANIFEST} -o .` makes them again.",
         "datePublished": made,
         "hasPart": [{"@id": entry["@id"]} for entry in entries],
         "mentions": {"@id": program["@id"]},
@@ -82,22 +83,29 @@ def unpack(source: Path, folder: Path) -> None:
         raise CampaignError(
             f"{folder.name} is there already and is not empty; open it, or move it away to unpack {source.name} again"
         )
+    there = folder.exists()
     try:
         with zipfile.ZipFile(source) as archive:
             entries = [entry for entry in archive.infolist() if not entry.is_dir()]
             _refuse(source.name, entries)
             digests = _digests(archive, source.name)
+            if {entry.filename for entry in entries} != {*digests, CRATE}:
+                raise CampaignError(f"{source.name}: its files are not those that {CRATE} names")
             folder.mkdir(parents=True, exist_ok=True)
             for entry in entries:
                 _extract(archive, entry, folder / entry.filename)
-    except zipfile.BadZipFile as error:
-        raise CampaignError(f"{source.name} is no archive of a bench ({error})") from error
-    for name, digest in digests.items():
-        path = folder / name
-        if not path.is_file() or file_digest(path) != digest:
-            raise CampaignError(f"{source.name}: {shown(name)} was altered or lost after the archive was made")
-    if not Session(folder).inside():
-        raise CampaignError(f"{source.name}: its {MANIFEST} names recordings that are not in the archive")
+        for name, digest in digests.items():
+            if file_digest(folder / name) != digest:
+                raise CampaignError(f"{source.name}: {shown(name)} was altered after the archive was made")
+        if not Session(folder).inside():
+            raise CampaignError(f"{source.name}: its {MANIFEST} names recordings that are not in the archive")
+    except BaseException as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        if there:
+            folder.mkdir()
+        if isinstance(error, zipfile.BadZipFile):
+            raise CampaignError(f"{source.name} is no archive of a bench ({error})") from error
+        raise
 
 
 def _refuse(name: str, entries: list[zipfile.ZipInfo]) -> None:

@@ -31,7 +31,7 @@ CONNECTION = {
     **{"bolt_grade": str, "shim": str, "finish": str, "displacement": str},
 }
 _RUN = re.compile(r"^(.*?)[\s_.-]*(?:run|r)[\s_.-]*(\d+)$", re.IGNORECASE)
-_NUMBERED = re.compile(r"^(.*?)[\s_.-]*\d+$")
+_NUMBERED = re.compile(r"^(.{2,}?[^\W\d])[\s_.-]*\d+$")
 _UNSAFE = re.compile(r"[^\w .()+-]+")
 
 
@@ -193,6 +193,25 @@ class Session:
             self.set_reading(key, self.forms[form])
         self.write()
         return key
+
+    def bring(self, manifest: Path) -> None:
+        """Copy the recordings of a manifest that ships with the program, with its sets and devices."""
+        for table in tomllib.loads(manifest.read_text(encoding="utf-8"))["set"]:
+            own = SetTable(f"s{next(self._numbers)}", {k: v for k, v in table.items() if k != "device"})
+            own.content["name"] = next(
+                name
+                for n in count(1)
+                if (name := own.name if n == 1 else f"{own.name} ({n})") not in {one.name for one in self.sets}
+            )
+            for device in table["device"]:
+                keys = []
+                for name in device["recordings"]:
+                    target = self.place_for(name)
+                    shutil.copyfile(manifest.parent / name, target)
+                    keys.append(self._id_of(target))
+                own.devices.append(DeviceTable(f"d{next(self._numbers)}", dict(device), keys))
+            self.sets.append(own)
+        self.write()
 
     def _in_folder(self, device: DeviceTable) -> bool:
         return all(self.files[key].parent == self.folder / RECORDINGS for key in device.files)

@@ -1,0 +1,493 @@
+"""The routes of a bench: what a page may ask for, and what it gets.
+
+No path of a browser is ever opened; it names what there is by ids. What fails is told in words.
+"""
+
+import asyncio
+import json
+import os
+import secrets
+import shlex
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from starlette.background import BackgroundTask
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response, StreamingResponse
+
+from shj_bayes._util.files import replacing, shipped
+from shj_bayes._util.processes import CallFailedError
+from shj_bayes.bench.archive import pack
+from shj_bayes.bench.jobs import Job, Jobs
+from shj_bayes.bench.session import MANIFEST, Session
+from shj_bayes.errors import CampaignError, ShjError, system_words, words_of
+from shj_bayes.recording.limits import MAX_BYTES
+from shj_bayes.report.page import environment_of, is_ours
+
+LONGEST_QUEUE = 200  # of what is still to be told to a page
+LONGEST_JSON = 1_000_000  # bytes of what a page says
+SLOWEST_S, SLOWEST_BYTES = 20.0, 20_000  # of an upload: so many bytes in so many seconds, or it is refused
+FOREIGN = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'"
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+    "frame-src 'self'; form-action 'none'; base-uri 'none'; frame-ancestors 'none'"
+)
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+HERE, PAGES = Path(__file__).parent, Path(__file__).parents[1] / "report"
+STATIC = {
+    **{f"{name}.js": HERE / "scripts" / f"{name}.js" for name in ("bench", "files", "devices", "design")},
+    **{f"{name}.js": PAGES / "scripts" / f"{name}.js" for name in ("sheet", "loops")},
+    "style.css": PAGES / "templates" / "style.css",
+    "bench.css": HERE / "templates" / "bench.css",
+}
+KINDS = {".js": "text/javascript", ".css": "text/css"}
+REPORTS = {"report": "report.html", "margins": "margins.html"}
+OF_DEVICE = {"report": "report.html", "diagnosis": "diagnosis/diagnosis.html", "plan": "next/plan.html"}
+
+
+def cookie_name(port: int) -> str:
+    """Name of the cookie: cookies hold for all ports of a host."""
+    return f"shj_bench_{port}"
+
+
+Handler = Callable[["Bench", Request], Awaitable[Any]]
+
+
+class Bench:
+    """A folder, its work, and those who look at it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.session = Session(folder)
+        self.jobs = Jobs(self._job_changed)
+        self.token, self.cookie = secrets.token_hex(32), secrets.token_hex(32)
+        self.listeners: set[asyncio.Queue[tuple[str, Any]]] = set()
+        self.last_seen = time.monotonic()
+        self.overview: dict[str, Any] = {"error": "", "devices": [], "pooled": False, "pages": []}
+        self.port = 0
+        self.checked: dict[str, tuple[str, dict[str, Any]]] = {}  # by device: what it was, and what the check said
+        self.read: dict[str, tuple[str, dict[str, Any]]] = {}  # by file: how it was read, and what was found
+
+    def _job_changed(self, job: Job) -> None:
+        self.say("job", job.told())
+        if not job.under_way:
+            self.say("changed", job.kind)
+
+    def say(self, kind: str, content: Any) -> None:
+        """Tell all pages that are open."""
+        for queue in self.listeners:
+            if queue.qsize() < LONGEST_QUEUE:
+                queue.put_nowait((kind, content))
+
+    async def state(self) -> dict[str, Any]:
+        """Everything that a page shows at first."""
+        self.overview = await self.jobs.ask("overview", self.session.folder)
+        known = {(one["set"], one["name"]): one for one in self.overview["devices"]}
+        sets = [
+            {
+                "id": group.id,
+                "name": group.name,
+                "connection": group.content.get("connection", {}),
+                "note": group.content.get("note", ""),
+                "devices": [
+                    {
+                        **known.get((group.name, device.name), {}),
+                        "id": device.id,
+                        "name": device.name,
+                        "files": device.files,
+                        "options": device.content.get("options", {}),
+                        "note": device.content.get("note", ""),
+                        "passed": self._passed(group.name, device.name, device.id),
+                    }
+                    for device in group.devices
+                ],
+            }
+            for group in self.session.sets
+        ]
+        return {
+            "folder": self.session.folder.name,
+            "error": self.overview["error"],
+            "pooled": self.overview["pooled"],
+            "pages": self.overview["pages"],
+            "files": [{"id": key, "name": path.name} for key, path in self.session.files.items()],
+            "sets": sets,
+            "jobs": [job.told() for job in self.jobs.under_way],
+            "command": self.command("campaign", self.session.folder / MANIFEST, "-o", self.session.folder),
+        }
+
+    def command(self, *words: object) -> str:
+        """Give the command that does the same."""
+        texts = list(map(str, words))
+        quoted = (f'"{text}"' if " " in text else text for text in texts)
+        return f"shj-bayes {' '.join(quoted) if sys.platform == 'win32' else shlex.join(texts)}"
+
+    def stamp(self, key: str) -> str:
+        """Give what the check of a device rests on."""
+        group, device = self.session.device(key)
+        files = [(str(p), p.stat().st_mtime_ns) for p in map(self.session.file, device.files) if p.exists()]
+        options = [self.session.top.get("defaults"), group.content.get("options"), device.content.get("options")]
+        return json.dumps([group.name, device.name, files, options, device.content.get("runs")])
+
+    def _passed(self, set_name: str, name: str, key: str) -> bool | None:
+        said = self.checked.get(key)
+        return None if said is None or said[0] != self.stamp(key) else bool(said[1]["passed"])
+
+
+async def body_of(request: Request, most: int) -> AsyncIterator[bytes]:
+    """Parts of what is sent: no more than allowed, and no slower."""
+    stated = request.headers.get("content-length", "0")
+    if not stated.isdigit() or int(stated) > most:
+        raise CampaignError(f"more than {most // 1024**2 or 1} MiB; export fewer channels or rows")
+    size, begun, seen = 0, time.monotonic(), 0
+    stream = request.stream()
+    while True:
+        try:
+            part = await asyncio.wait_for(anext(stream), SLOWEST_S)
+        except StopAsyncIteration:
+            return
+        except TimeoutError as error:
+            raise CampaignError("the upload stood still; send the file again") from error
+        size += len(part)
+        if size > most:
+            raise CampaignError(f"more than {most // 1024**2 or 1} MiB; export fewer channels or rows")
+        if time.monotonic() - begun > SLOWEST_S:
+            if size - seen < SLOWEST_BYTES:
+                raise CampaignError("the upload was too slow; send the file again")
+            begun, seen = time.monotonic(), size
+        yield part
+
+
+async def said(request: Request) -> dict[str, Any]:
+    """Read what a page says, as JSON."""
+    text = b"".join([part async for part in body_of(request, LONGEST_JSON)])
+    try:
+        content = json.loads(text or b"{}")
+    except (ValueError, RecursionError) as error:
+        raise CampaignError("what the page said is no JSON; load the page again") from error
+    if not isinstance(content, dict):
+        raise CampaignError("what the page said is no table; load the page again")
+    return content
+
+
+def answered(handler: Handler) -> Callable[[Request], Awaitable[Response]]:
+    """Make a route of a function of the bench: what it gives is JSON, what fails is told in words."""
+
+    async def route(request: Request) -> Response:
+        bench: Bench = request.app.state.bench
+        bench.last_seen = time.monotonic()
+        try:
+            result = await handler(bench, request)
+        except (ShjError, CallFailedError) as error:
+            return JSONResponse({"error": str(error)}, 400, HEADERS)
+        except OSError as error:
+            return JSONResponse({"error": system_words(error)}, 500, HEADERS)
+        except ClientDisconnect:
+            return Response(status_code=499)
+        except Exception as error:  # told to the page in words, never as a traceback
+            return JSONResponse({"error": words_of(error)}, 500, HEADERS)
+        return result if isinstance(result, Response) else JSONResponse(result, headers=HEADERS)
+
+    return route
+
+
+async def enter(bench: Bench, request: Request) -> Response:
+    """Take the token from the file that hands it over, and give a cookie for it."""
+    given = b"".join([part async for part in body_of(request, 1000)]).decode("ascii", "replace").strip()
+    if not secrets.compare_digest(given.removeprefix("token=").encode(), bench.token.encode()):
+        return Response("shj-bayes bench: refused (an old token: open the bench by its command)\n", 403, HEADERS)
+    # A page of ours goes on to the bench: a cookie that is strict is not sent on the way from another origin.
+    page = (
+        '<!DOCTYPE html><html lang="en"><title>shj-bayes</title><meta http-equiv="refresh" content="0; url=/"></html>'
+    )
+    answer = HTMLResponse(page, headers=HEADERS | {"Content-Security-Policy": "default-src 'none'"})
+    answer.set_cookie(cookie_name(bench.port), bench.cookie, httponly=True, samesite="strict")
+    return answer
+
+
+async def front(bench: Bench, request: Request) -> Response:
+    """Give the page."""
+    page = environment_of("shj_bayes.bench", "shj_bayes.report").get_template("bench.html")
+    text = page.render(folder=bench.session.folder.name, glossary=glossary(), endings=ENDINGS)
+    return HTMLResponse(text, headers=HEADERS | {"Content-Security-Policy": POLICY})
+
+
+async def static(bench: Bench, request: Request) -> Response:
+    """Give a script or a style sheet of ours."""
+    path = STATIC.get(request.path_params["name"])
+    if path is None:
+        return Response(status_code=404)
+    return Response(path.read_bytes(), headers=HEADERS, media_type=KINDS[path.suffix])
+
+
+async def state(bench: Bench, request: Request) -> Any:
+    """Give everything that the page shows."""
+    return await bench.state()
+
+
+async def events(bench: Bench, request: Request) -> Response:
+    """Tell a page what changes, as long as it is open."""
+    queue: asyncio.Queue[tuple[str, Any]] = asyncio.Queue()
+
+    async def lines() -> AsyncIterator[str]:
+        bench.listeners.add(queue)
+        try:
+            yield "retry: 1000\n\n"
+            while True:
+                try:
+                    kind, content = await asyncio.wait_for(queue.get(), 15.0)
+                    yield f"event: {kind}\ndata: {json.dumps(content)}\n\n"
+                except TimeoutError:
+                    yield ": still here\n\n"
+                bench.last_seen = time.monotonic()
+        finally:
+            bench.listeners.discard(queue)
+
+    return StreamingResponse(lines(), media_type="text/event-stream", headers=HEADERS)
+
+
+async def upload(bench: Bench, request: Request) -> Any:
+    """Take a recording in, and read it."""
+    path = bench.session.place_for(request.query_params.get("name", ""))
+    with replacing(path) as part, part.open("wb") as stream:
+        async for piece in body_of(request, MAX_BYTES):
+            stream.write(piece)
+    found = await bench.jobs.ask("read_file", bench.session.folder, path, {})
+    key = bench.session.add(path, found["form"])
+    chosen = bench.session.reading_of(key)
+    if chosen:
+        found = await bench.jobs.ask("read_file", bench.session.folder, path, chosen)
+    bench.read[key] = json.dumps(chosen), found
+    bench.say("changed", "file")
+    return {"id": key, **found, "options": chosen}
+
+
+async def file(bench: Bench, request: Request) -> Any:
+    """Give what was found in a file; or choose how it is read, or take it out."""
+    key = request.path_params["id"]
+    path = bench.session.file(key)
+    if request.method == "DELETE":
+        bench.session.remove(key)
+        bench.say("changed", "file")
+        return {}
+    if request.method == "PUT":
+        asked = await said(request)
+        form = bench.read[key][1].get("form", "") if key in bench.read else ""
+        found = await bench.jobs.ask("read_file", bench.session.folder, path, asked)
+        bench.session.set_reading(key, asked, form if not found["error"] else "")
+        bench.say("changed", "file")
+    chosen = bench.session.reading_of(key)
+    stamp = json.dumps([chosen, path.stat().st_mtime_ns if path.exists() else 0])
+    if key not in bench.read or bench.read[key][0] != stamp:
+        bench.read[key] = stamp, await bench.jobs.ask("read_file", bench.session.folder, path, chosen)
+    given = (name for name in ("columns", "units", "sheet") if name in chosen)
+    again = bench.command("check", path, *(word for name in given for word in (f"--{name}", chosen[name])))
+    return {"id": key, **bench.read[key][1], "options": chosen, "command": again}
+
+
+async def arrange(bench: Bench, request: Request) -> Any:
+    """Put files into devices and devices into sets."""
+    bench.session.arrange((await said(request)).get("sets", []))
+    bench.say("changed", "sets")
+    return await bench.state()
+
+
+async def describe(bench: Bench, request: Request) -> Any:
+    """Take down what is known of a set or of a device."""
+    key, content = request.path_params["id"], await said(request)
+    (bench.session.describe_set if request.path_params["kind"] == "sets" else bench.session.describe_device)(
+        key, content
+    )
+    bench.say("changed", "sets")
+    return await bench.state()
+
+
+async def check(bench: Bench, request: Request) -> Any:
+    """Say what the recordings of a device can tell, before anything is fitted."""
+    key = request.path_params["id"]
+    group, device = bench.session.device(key)
+    stamp = bench.stamp(key)
+    known = bench.checked.get(key)
+    if known is None or known[0] != stamp:
+        found = await bench.jobs.ask("check", bench.session.folder, group.name, device.name)
+        bench.checked[key] = stamp, found
+    return bench.checked[key][1]
+
+
+async def fit(bench: Bench, request: Request) -> Any:
+    """Begin the fit and the diagnosis of a device that has passed its check."""
+    key = request.path_params["id"]
+    group, device = bench.session.device(key)
+    if not (await check(bench, request))["passed"]:
+        raise CampaignError(f"{device.name} has not passed its check; the reasons stand there")
+    n_waiting = sum(job.kind == "fit" for job in bench.jobs.under_way)
+    threads = 0 if n_waiting == 0 else 1  # alone, a fit may use all processors; the numbers are the same
+    return bench.jobs.begin("fit", key, bench.session.folder, group.name, device.name, threads).told()
+
+
+async def pool(bench: Bench, request: Request) -> Any:
+    """Begin population, margins and report."""
+    return bench.jobs.begin("pool", "campaign", bench.session.folder, os.cpu_count() or 1).told()
+
+
+async def end(bench: Bench, request: Request) -> Any:
+    """End a job."""
+    job = bench.jobs.jobs.get(request.path_params["id"])
+    if job is None:
+        raise CampaignError("there is no such job any more")
+    bench.jobs.end(job)
+    return job.told()
+
+
+async def card(bench: Bench, request: Request) -> Any:
+    """Give the card of each set for what a designer asks."""
+    asked = {name: value for name, value in (await said(request)).items() if value not in ("", None, False)}
+    found = await bench.jobs.ask("card", bench.session.folder, asked)
+    words = [word for name, value in asked.items() for word in _flag(name, value)]
+    return {**found, "command": bench.command("margins", bench.session.folder, *words)}
+
+
+FLAGS = {
+    **{"nominal_kN": "--nominal", "connections": "--connections", "reliability": "--reliability"},
+    **{"amplitude_mm": "--amplitude", "speed_mm_s": "--speed", "cycles": "--cycles", "history": "--history"},
+    **{"force_wanted_kN": "--force-wanted", "drift": "--drift", "storey_height": "--storey-height"},
+    **{"lever_arm": "--lever-arm", "extrapolate": "--extrapolate", "clamping_kN": "--clamping", "mu": "--mu"},
+}
+
+
+def _flag(name: str, value: Any) -> list[str]:
+    if name in ("history", "drift"):
+        return [FLAGS[name], "bench/history.csv"]
+    return [FLAGS[name]] if value is True else [FLAGS[name], str(value)] if name in FLAGS else []
+
+
+async def margins(bench: Bench, request: Request) -> Any:
+    """Begin to draw up and write the margins for what a designer asks."""
+    asked = {name: value for name, value in (await said(request)).items() if value not in ("", None, False)}
+    return bench.jobs.begin("margins", "margins", bench.session.folder, asked).told()
+
+
+async def history(bench: Bench, request: Request) -> Any:
+    """Take a history of displacement in."""
+    path = bench.session.folder / "bench" / "history.csv"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as part, part.open("wb") as stream:
+        async for piece in body_of(request, MAX_BYTES):
+            stream.write(piece)
+    return {}
+
+
+async def compare(bench: Bench, request: Request) -> Any:
+    """Compare two sets."""
+    asked = await said(request)
+    a, b = (bench.session.group(str(asked.get(side))).name for side in ("a", "b"))
+    found = await bench.jobs.ask("compare", bench.session.folder, a, b)
+    return {**found, "command": bench.command("compare", bench.session.folder, a, b)}
+
+
+async def plan(bench: Bench, request: Request) -> Any:
+    """Begin to plan the next test of a device."""
+    key = request.path_params["id"]
+    group, device = bench.session.device(key)
+    known = ("max_stroke_mm", "max_speed_mm_s", "max_force_kN", "max_minutes", "rate_Hz")
+    asked = await said(request)
+    limits = {name: float(asked[name]) for name in known if asked.get(name) not in ("", None)}
+    return bench.jobs.begin("plan", key, bench.session.folder, group.name, device.name, limits).told()
+
+
+async def page(bench: Bench, request: Request) -> Response:
+    """Give a page of results: one of ours as it is, any other without its scripts."""
+    kind, name = request.path_params["of"], request.path_params["name"]
+    if kind == "campaign":
+        place, names = bench.session.folder, REPORTS
+    else:
+        group, device = bench.session.device(kind)
+        told = bench.overview["devices"]
+        where = (one.get("folder") for one in told if (one["set"], one["name"]) == (group.name, device.name))
+        place, names = bench.session.folder / (next(where, None) or "nowhere"), OF_DEVICE
+    path = place / names.get(name, "nowhere")
+    root = bench.session.folder.resolve()
+    if name not in names or not path.is_file() or not path.resolve().is_relative_to(root):
+        return Response("there is no such page (any more)\n", 404, HEADERS)
+    ours = await asyncio.to_thread(is_ours, path)
+    policy = "frame-ancestors 'self'" if ours else FOREIGN
+    return HTMLResponse(path.read_bytes(), headers=HEADERS | {"Content-Security-Policy": policy})
+
+
+async def download(bench: Bench, request: Request) -> Response:
+    """Give the folder as one file."""
+    handle, name = tempfile.mkstemp(suffix=".zip")
+    os.close(handle)
+    await asyncio.to_thread(pack, bench.session.folder, Path(name))
+    gone = BackgroundTask(Path(name).unlink, missing_ok=True)
+    return FileResponse(name, filename=f"{bench.session.folder.name}.zip", headers=HEADERS, background=gone)
+
+
+async def story(bench: Bench, request: Request) -> Any:
+    """Bring in the recordings of a story that ships with the program, or a measured one that lies beside it."""
+    name = request.path_params["name"]
+    if name in STORIES:
+        bench.session.bring(shipped("data", "examples", STORIES[name]))
+    elif name == "brake" and BRAKE.is_file():
+        path = bench.session.place_for(BRAKE.name)
+        await asyncio.to_thread(shutil.copyfile, BRAKE, path)
+        bench.session.add(path)
+    else:
+        raise CampaignError(
+            f"the recording of this story is not here ({BRAKE}): it is measured data, which does not ship"
+        )
+    bench.say("changed", "sets")
+    return await bench.state()
+
+
+STORIES = {"demo": "campaign.toml", "clean": "clean.toml", "prying": "prying.toml"}
+BRAKE = Path("..", "shared", "recordings", "brfd-lehigh", "ds1_0.5Hz80lb.csv.gz")
+ENDINGS = ".csv,.tsv,.txt,.dat,.gz,.xlsx,.xlsm,.json,.mat,.h5,.hdf5,.tdms"
+
+
+def glossary() -> dict[str, str]:
+    """Meaning of each term of the glossary, by its term and by its sign."""
+    meanings: dict[str, str] = {}
+    for line in shipped("docs", "glossary.md").read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip().replace("\\|", "|").replace("`", "") for cell in line.replace("\\|", "\0").split("|")]
+        cells = [cell.replace("\0", "|") for cell in cells]
+        if len(cells) == GLOSSARY_CELLS and cells[1] not in ("term", "---"):
+            term, unit, sign, meaning = cells[1:5]
+            said_ = f"{meaning}{f' ({unit})' if unit not in ('', '1') else ''}"
+            meanings |= {term: said_, **({sign: f"{term}: {said_}"} if sign else {})}
+    return meanings
+
+
+GLOSSARY_CELLS = 7
+ROUTES = (
+    ("/", "GET", front),
+    ("/enter", "POST", enter),
+    ("/static/{name}", "GET", static),
+    ("/api/state", "GET", state),
+    ("/api/events", "GET", events),
+    ("/api/files", "PUT", upload),
+    ("/api/files/{id}", "GET PUT DELETE", file),
+    ("/api/sets", "PUT", arrange),
+    ("/api/{kind:str}/{id}/about", "PUT", describe),
+    ("/api/devices/{id}/check", "GET", check),
+    ("/api/devices/{id}/fit", "POST", fit),
+    ("/api/devices/{id}/plan", "POST", plan),
+    ("/api/pool", "POST", pool),
+    ("/api/jobs/{id}", "DELETE", end),
+    ("/api/card", "POST", card),
+    ("/api/margins", "POST", margins),
+    ("/api/history", "PUT", history),
+    ("/api/compare", "POST", compare),
+    ("/api/download", "GET", download),
+    ("/api/stories/{name}", "POST", story),
+    ("/page/{of}/{name}", "GET", page),
+)

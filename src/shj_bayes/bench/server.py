@@ -1,0 +1,203 @@
+"""Who may use a bench, and how it begins and ends.
+
+Only this machine reaches it (127.0.0.1), and on it only who holds the token: a file that this user alone may read hands
+it to the browser, which gets a cookie for it. Pages of other origins could still send requests here, under a name that
+they point at this address (DNS rebinding) or by forms: every request must name this host, and one that comes from a
+page must come from ours.
+"""
+
+import asyncio
+import contextlib
+import os
+import secrets
+import socket
+import sys
+import tempfile
+import time
+import webbrowser
+from collections.abc import AsyncIterator, Callable, Iterator
+from functools import partial
+from html import escape
+from pathlib import Path
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import Response
+from starlette.routing import Route
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from shj_bayes._util.files import alone, make_writable, write_text
+from shj_bayes.bench.archive import unpack
+from shj_bayes.bench.routes import HEADERS, ROUTES, Bench, answered, cookie_name
+from shj_bayes.errors import CampaignError, ShjError
+
+HOST = "127.0.0.1"
+IDLE_S = 3600.0  # without anybody who looks, and without work
+MOST_CONNECTIONS = 100
+
+
+class Guard:
+    """Let in only requests to this host, from our own pages, by who holds the cookie; everything else gets 403."""
+
+    def __init__(self, app: ASGIApp, port: int, cookie: str) -> None:
+        self.app, self.cookie = app, cookie
+        self.host, self.name = f"{HOST}:{port}", cookie_name(port)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer or pass on."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+            return
+        why = "no websockets" if scope["type"] != "http" else self.refusal(Request(scope))
+        if why:
+            refused = Response(f"shj-bayes bench: refused ({why})\n", 403, HEADERS, "text/plain")
+            if scope["type"] == "websocket":
+                await receive()
+                await send({"type": "websocket.close", "code": 1008})
+                return
+            await refused(scope, receive, send)
+            return
+        await self.app(scope, receive, send)
+
+    def refusal(self, request: Request) -> str:
+        """Why a request is not for us; empty where it is."""
+        headers, reading = request.headers, request.method in ("GET", "HEAD")
+        origin, site = headers.get("origin"), headers.get("sec-fetch-site")
+        cookie = request.cookies.get(self.name, "").encode()
+        entering = request.url.path == "/enter"  # from the file that hands the token over, which has no origin
+        refusals = {
+            "another host": headers.getlist("host") != [self.host],
+            "not the way in": entering and (reading or origin not in (None, "null")),
+            "another origin": not entering and origin not in (None, f"http://{self.host}"),
+            "no origin": not entering and not reading and origin is None,
+            "another site": not entering and site not in (None, "same-origin", "none"),
+            "no token: open the bench by its command": not entering
+            and not secrets.compare_digest(cookie, self.cookie.encode()),
+        }
+        return next((why for why, refused in refusals.items() if refused), "")
+
+
+def application(bench: Bench, port: int) -> ASGIApp:
+    """Make the application of a bench."""
+    bench.port = port
+
+    @contextlib.asynccontextmanager
+    async def life(_: Starlette) -> AsyncIterator[None]:
+        bench.jobs.warm()
+        try:
+            yield
+        finally:
+            bench.jobs.stop()
+
+    routes = [Route(path, answered(handler), methods=methods.split()) for path, methods, handler in ROUTES]
+    app = Starlette(routes=routes, lifespan=life)
+    app.state.bench = bench
+    return Guard(app, port, bench.cookie)
+
+
+@contextlib.contextmanager
+def way_in(bench: Bench) -> Iterator[Path]:
+    """Give a file that only this user may read, which hands the token to a browser that opens it."""
+    place = Path(tempfile.mkdtemp(prefix="shj-bayes-bench-"))
+    path = place / "open.html"
+    address = f"http://{HOST}:{bench.port}/enter"
+    text = (
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
+        f"<title>shj-bayes bench</title></head><body><form method=post enctype=text/plain action={escape(address)}>"
+        f'<input type=hidden name=token value="{bench.token}"><button>Open the bench</button></form>'
+        "<script>document.forms[0].submit()</script></body></html>"
+    )
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)
+        yield path
+    finally:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+            place.rmdir()
+
+
+def opened(place: Path) -> Path:
+    """Give the folder of a bench; a file that a bench made is unpacked beside itself first."""
+    if place.is_file():
+        folder = place.with_suffix("")
+        unpack(place, folder)
+        return folder
+    return place
+
+
+def put_shortcut(folder: Path) -> str:
+    """Put an entry that opens a bench on the desk, or in the home folder where there is no desk; say where it is."""
+    desk = next((d for d in (Path.home() / "Desktop", Path.home()) if d.is_dir()), Path.home())
+    place = str(folder.resolve())
+    if any(c in place for c in '"\r\n%$`'):
+        raise CampaignError(f"{folder.name}: a shortcut cannot hold the path {place!r}; move the folder, or rename it")
+    if sys.platform == "win32":
+        path, text = (
+            desk / "shj-bayes bench.bat",
+            f'@echo off\r\n"{sys.executable}" -P -m shj_bayes bench "{place}"\r\n',
+        )
+    elif sys.platform == "darwin":
+        path, text = (
+            desk / "shj-bayes bench.command",
+            f'#!/bin/sh\nexec "{sys.executable}" -P -m shj_bayes bench "{place}"\n',
+        )
+    else:
+        run = f'"{sys.executable}" -P -m shj_bayes bench "{place}"'
+        entry = f"[Desktop Entry]\nType=Application\nName=shj-bayes bench\nTerminal=true\nExec={run}\n"
+        path, text = desk / "shj-bayes-bench.desktop", entry
+    write_text(path, text)
+    if sys.platform != "win32":
+        path.chmod(0o755)
+    return f"{path}: opens a bench on {place}"
+
+
+def serve(folder: Path, *, browser: bool, tell: Callable[[str], None]) -> None:
+    """Serve a bench on a folder until it is ended or nobody has looked for an hour."""
+    make_writable(folder)
+    with contextlib.ExitStack() as held:
+        try:
+            held.enter_context(alone(folder / "bench"))
+        except ShjError as error:
+            raise CampaignError(
+                f"a bench is open on {folder.name} already; go on in its page, or end it first (Ctrl-C where it was "
+                "begun)"
+            ) from error
+        bench = Bench(folder)
+        listening = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
+        listening.bind((HOST, 0))
+        bench.port = listening.getsockname()[1]
+        where = held.enter_context(way_in(bench))
+        tell(f"bench: {where.as_uri()}\nopen this file in a browser of this machine; Ctrl-C ends the bench")
+        config = uvicorn.Config(
+            application(bench, bench.port),
+            log_level="critical",
+            access_log=False,
+            ws="none",
+            limit_concurrency=MOST_CONNECTIONS,
+            timeout_keep_alive=5,
+            timeout_graceful_shutdown=2,
+            server_header=False,
+            date_header=False,
+        )
+        server = uvicorn.Server(config)
+        asyncio.run(
+            _until_idle(server, bench, listening, partial(webbrowser.open, where.as_uri()) if browser else None)
+        )
+
+
+async def _until_idle(
+    server: uvicorn.Server, bench: Bench, listening: socket.socket, show: Callable[[], bool] | None
+) -> None:
+    """Serve; end when nobody has looked for a while and nothing runs."""
+    serving = asyncio.create_task(server.serve(sockets=[listening]))
+    if show is not None:
+        await asyncio.to_thread(show)
+    while not serving.done():
+        await asyncio.wait([serving], timeout=5.0)
+        bench.jobs.rest()
+        if not bench.listeners and not bench.jobs.under_way and time.monotonic() - bench.last_seen > IDLE_S:
+            server.should_exit = True
+    await serving
