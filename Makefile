@@ -3,9 +3,9 @@
 
 PYTHON ?= python3
 
-.PHONY: install install-docs install-reference demo test lint check docs prove fuzz robust golden kill thousand calibrate audit minimum recover bench clean
+.PHONY: install install-docs install-reference demo test lint check docs prove fuzz robust golden kill thousand calibrate audit minimum recover speed bench bench-app clean
 
-install install-docs install-reference demo test lint check docs prove fuzz robust golden kill thousand calibrate audit minimum recover bench:
+install install-docs install-reference demo test lint check docs prove fuzz robust golden kill thousand calibrate audit minimum recover speed bench bench-app:
 	$(PYTHON) tasks.py $@
 
 clean:

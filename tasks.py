@@ -18,7 +18,8 @@ calibrate  ranks and coverage of 300 simulated devices, predictions and diagnose
 audit    look every pinned package up in the public list of known weaknesses (needs the network)
 minimum  the tests with the oldest versions of all dependencies that pyproject.toml allows
 recover  fit recordings simulated from the 25 published rows and print where the truth lies (about 15 minutes)
-bench    speed: the law, the likelihood, a fit, proposals, effects, population, other samplers (an hour)
+bench    the whole job in the browser (with make: make bench-app)
+speed    speed: the law, the likelihood, a fit, proposals, effects, population, other samplers (an hour)
 
 Only the standard library is used here, because this file runs before anything is installed.
 """
@@ -75,7 +76,9 @@ TASKS: dict[str, list[list[str]]] = {
     ],
     "minimum": [[str(PYTHON), "tests/minimum.py"]],
     "recover": [[str(PYTHON), "benchmarks/recover.py"]],
-    "bench": [[str(PYTHON), "benchmarks/bench.py"]],
+    "speed": [[str(PYTHON), "benchmarks/bench.py"]],
+    "bench": [[str(TOOL), "bench"]],
+    "bench-app": [[str(TOOL), "bench"]],
 }
 TASKS["check"] = [*TASKS["lint"], *TASKS["test"]]
 TASKS["docs"] = [

@@ -1,6 +1,6 @@
 """All speed measurements, or some of them: ``python benchmarks/bench.py law likelihood fits``.
 
-``make bench`` runs all: commands, law, likelihood, reduction, fits, moves, effects, population, workers,
+``make speed`` runs all: commands, law, likelihood, reduction, fits, moves, effects, population, workers,
 peers. Each part is a script of its own with its own options.
 ``peers`` takes half an hour and what ``benchmarks/requirements.txt`` names; peers that are not installed are left out.
 """

@@ -17,7 +17,7 @@ from typing import Any
 from shj_bayes._util.processes import CallFailedError, Companion
 
 PATIENCE_S = 300.0  # for an answer at once; the slowest file within the bounds takes about a minute
-REST_S = 120.0  # after which processes for long jobs are ended
+REST_S, LONG_REST_S = 60.0, 600.0  # idle, after which processes for long jobs, and the one that answers, are ended
 WAITING, RUNNING, DONE, FAILED, ENDED = "waiting", "running", "done", "failed", "ended"
 
 
@@ -86,6 +86,7 @@ class Jobs:
         One call after the other: a process that does not answer is replaced.
         """
         async with self._one_at_a_time:
+            self._busy_until = time.monotonic()
             loop = asyncio.get_running_loop()
             if self._quick is None:
                 self._quick = await loop.run_in_executor(self._threads, Companion, _prepare)
@@ -140,10 +141,14 @@ class Jobs:
 
     def rest(self) -> None:
         """End processes that have had nothing to do for a while: idle, a bench takes little memory."""
-        if not self.under_way and time.monotonic() - self._busy_until > REST_S:
+        idle_s = 0.0 if self.under_way else time.monotonic() - self._busy_until
+        if idle_s > REST_S:
             for companion in self._free:
                 companion.stop()
             self._free = []
+        if idle_s > LONG_REST_S and self._quick is not None and not self._one_at_a_time.locked():
+            self._quick.stop()
+            self._quick = None
 
     def _begin_next(self) -> None:
         while self._waiting and sum(job.state == RUNNING for job in self.jobs.values()) < self._n_long:

@@ -217,7 +217,7 @@ async def enter(bench: Bench, request: Request) -> Response:
 async def front(bench: Bench, request: Request) -> Response:
     """Give the page."""
     page = environment_of("shj_bayes.bench", "shj_bayes.report").get_template("bench.html")
-    text = page.render(folder=bench.session.folder.name, glossary=glossary(), endings=ENDINGS)
+    text = page.render(folder=bench.session.folder.name, glossary=glossary())
     return HTMLResponse(text, headers=HEADERS | {"Content-Security-Policy": POLICY})
 
 
@@ -451,7 +451,6 @@ async def story(bench: Bench, request: Request) -> Any:
 
 STORIES = {"demo": "campaign.toml", "clean": "clean.toml", "prying": "prying.toml"}
 BRAKE = Path("..", "shared", "recordings", "brfd-lehigh", "ds1_0.5Hz80lb.csv.gz")
-ENDINGS = ".csv,.tsv,.txt,.dat,.gz,.xlsx,.xlsm,.json,.mat,.h5,.hdf5,.tdms"
 
 
 def glossary() -> dict[str, str]:

@@ -168,6 +168,7 @@ def serve(folder: Path, *, browser: bool, tell: Callable[[str], None]) -> None:
         bench = Bench(folder)
         listening = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
         listening.bind((HOST, 0))
+        listening.listen()  # who comes before the server is ready waits
         bench.port = listening.getsockname()[1]
         where = held.enter_context(way_in(bench))
         tell(f"bench: {where.as_uri()}\nopen this file in a browser of this machine; Ctrl-C ends the bench")
@@ -183,9 +184,10 @@ def serve(folder: Path, *, browser: bool, tell: Callable[[str], None]) -> None:
             date_header=False,
         )
         server = uvicorn.Server(config)
-        asyncio.run(
-            _until_idle(server, bench, listening, partial(webbrowser.open, where.as_uri()) if browser else None)
-        )
+        show = partial(webbrowser.open, where.as_uri()) if browser else None
+        with contextlib.suppress(KeyboardInterrupt):
+            asyncio.run(_until_idle(server, bench, listening, show))
+        tell("the bench is ended; what was finished is kept, and what was not goes on from its last checkpoint")
 
 
 async def _until_idle(

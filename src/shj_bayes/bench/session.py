@@ -31,7 +31,7 @@ CONNECTION = {
     **{"bolt_grade": str, "shim": str, "finish": str, "displacement": str},
 }
 _RUN = re.compile(r"^(.*?)[\s_.-]*(?:run|r)[\s_.-]*(\d+)$", re.IGNORECASE)
-_NUMBERED = re.compile(r"^(.{2,}?[^\W\d])[\s_.-]*\d+$")
+_NUMBERED = re.compile(r"^(?:(.+?)[\s_.-]+|(.{2,}[^\W\d]))\d+$")  # "bare 2" and "bare2", not "s24"
 _UNSAFE = re.compile(r"[^\w .()+-]+")
 
 
@@ -186,7 +186,7 @@ class Session:
                 self.write()
                 return key
         numbered = _NUMBERED.match(name)
-        self._set_named(plain_name(numbered[1]) if numbered and numbered[1] else "Set 1").devices.append(
+        self._set_named(plain_name(numbered[1] or numbered[2]) if numbered else "Set 1").devices.append(
             DeviceTable(f"d{next(self._numbers)}", {"name": self._free_name(name)}, [key])
         )
         if form in self.forms:

@@ -91,16 +91,31 @@
     if (state) { bench.take(state); bench.say("The note was kept."); }
   } }, entry.note));
 
+  const READING = ["columns", "units", "rate_Hz", "sheet", "runs"];
+  const OPTIONS = { model: ["published", "continuous"], noise: ["slow", "ar1", "independent", "student"], priors: ["afc", "general"] };
+  const options = (device) => {
+    const fields = Object.entries(OPTIONS).map(([name, words]) => el("label", {}, bench.term(name === "noise" ? "noise model" : name, name), el("select", { name }, ...words.map((word) => el("option", { value: word, selected: (device.options[name] ?? words[0]) === word }, word)))));
+    const form = el("form", { class: "fields" }, ...fields, el("button", { type: "submit" }, "Keep"));
+    form.addEventListener("submit", async (event) => {
+      event.preventDefault();
+      const chosen = Object.fromEntries([...new FormData(form)].filter(([name, word]) => word !== OPTIONS[name][0]));
+      const reading = Object.fromEntries(Object.entries(device.options).filter(([name]) => READING.includes(name)));
+      const state = await bench.ask(`/api/devices/${device.id}/about`, "PUT", { options: { ...reading, ...chosen } });
+      if (state) { bench.take(state); bench.say(`The options of ${device.name} were kept: check it again.`); }
+    });
+    return el("details", {}, el("summary", {}, "Options of the fit"), form);
+  };
   const fileItem = (device, file, i) => {
     const choice = el("select", { "aria-label": `move ${nameOf(file)} to` }, el("option", { value: "" }, "move to ..."), ...bench.devices().filter((one) => one.id !== device.id).map((one) => el("option", { value: one.id }, `${one.group.name}: ${one.name}`)), ...bench.state.sets.map((group) => el("option", { value: group.id }, `${group.name}: a device of its own`)));
     choice.addEventListener("change", () => choice.value && moveFile(file, choice.value));
     const button = (words, name, by, off) => el("button", { type: "button", "aria-label": `${name}: ${nameOf(file)}`, disabled: off, onclick: () => shift(device.id, file, by) }, words);
-    return draggable(el("li", {}, nameOf(file), " ", button("↑", "earlier run", -1, i === 0), button("↓", "later run", 1, i === device.files.length - 1), " ", choice), { file });
+    const order = device.id ? [button("↑", "earlier run", -1, i === 0), button("↓", "later run", 1, i === device.files.length - 1)] : [];
+    return draggable(el("li", {}, nameOf(file), " ", ...order, " ", choice), { file });
   };
   const deviceItem = (group, device) => {
     const choice = el("select", { "aria-label": `move ${device.name} to` }, el("option", { value: "" }, "move to ..."), ...bench.state.sets.filter((one) => one.id !== group.id).map((one) => el("option", { value: one.id }, one.name)));
     choice.addEventListener("change", () => choice.value && moveDevice(device.id, choice.value));
-    const item = el("div", { class: "device-item" }, renamed(device.name, `name of device ${device.name}`, (name) => rename(device.id, name)), " ", bench.state.sets.length > 1 ? choice : "", el("ol", {}, ...device.files.map((file, i) => fileItem(device, file, i))), el("details", {}, el("summary", {}, "Note"), note("devices", device)));
+    const item = el("div", { class: "device-item" }, renamed(device.name, `name of device ${device.name}`, (name) => rename(device.id, name)), " ", bench.state.sets.length > 1 ? choice : "", el("ol", {}, ...device.files.map((file, i) => fileItem(device, file, i))), options(device), el("details", {}, el("summary", {}, "Note"), note("devices", device)));
     return target(draggable(item, { device: device.id }), (what) => what.file && !device.files.includes(what.file), (what) => moveFile(what.file, device.id));
   };
   const connection = (group) => {
@@ -116,12 +131,15 @@
   };
   const cards = () => {
     if (at("sets").hidden) return;
-    if (!bench.state.sets.length) {
+    if (!bench.state.files.length) {
       at("set-cards").replaceChildren(el("p", {}, "No devices yet: drop recordings in the first step."));
       return;
     }
     const open = new Set([...document.querySelectorAll("#set-cards details[open]")].map((node) => node.closest("[data-id]").dataset.id));
-    at("set-cards").replaceChildren(...bench.state.sets.map((group) => {
+    const used = new Set(bench.devices().flatMap((device) => device.files));
+    const loose = bench.state.files.filter(({ id }) => !used.has(id));
+    const without = loose.length ? [el("div", { class: "set-card" }, el("strong", {}, "Files without a device"), el("ol", {}, ...loose.map(({ id }, i) => fileItem({ id: "", files: [] }, id, i))))] : [];
+    at("set-cards").replaceChildren(...without, ...bench.state.sets.map((group) => {
       const card = el("div", { class: "set-card", "data-id": group.id }, el("strong", {}, "Set "), renamed(group.name, `name of set ${group.name}`, (name) => rename(group.id, name)), el("span", { class: "more" }, ` ${group.devices.length} ${group.devices.length === 1 ? "device" : "devices"}`), ...group.devices.map((device) => deviceItem(group, device)), connection(group));
       if (open.has(group.id)) card.lastChild.open = true;
       return target(card, (what) => !(what.device && group.devices.some((one) => one.id === what.device)), (what) => (what.device ? moveDevice(what.device, group.id) : moveFile(what.file, group.id)));

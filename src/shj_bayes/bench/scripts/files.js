@@ -41,7 +41,7 @@
     if (said.length) parts.push(bench.table("What was found, assumed and repaired", ["Kind", "What"], said));
     else if (!found.error) parts.push(el("p", {}, "Nothing to remark."));
     if (found.text) parts.push(el("details", {}, el("summary", {}, "All that was read"), el("pre", {}, found.text)));
-    if (found.columns.length) parts.push(columns(found));
+    parts.push(columns(found));
     if (found.command) parts.push(bench.again(found.command));
     parts.push(el("p", {}, el("button", { type: "button", onclick: () => remove(found) }, "Take this file out of the folder")));
     at("file-detail").replaceChildren(...parts);
@@ -67,12 +67,13 @@
     });
     const rate = el("input", { name: "rate", type: "number", min: "0", step: "any", value: found.options.rate_Hz ?? "" });
     const runs = el("select", { name: "runs" }, ...[["", "as it looks"], ["one", "one run"], ["split", "several: split where they are found"]].map(([value, words]) => el("option", { value, selected: found.options.runs === value }, words)));
-    const form = el("form", { class: "fields" }, ...fields, el("label", {}, "rate of a file without time (Hz)", rate), el("label", {}, "runs in the file", runs), el("button", { type: "submit", class: found.error ? "main" : "" }, "Read it so"));
+    const sheet = el("input", { name: "sheet", value: found.options.sheet ?? "" });
+    const form = el("form", { class: "fields" }, ...(found.columns.length ? fields : []), el("label", {}, "sheet or group", sheet), el("label", {}, "rate of a file without time (Hz)", rate), el("label", {}, "runs in the file", runs), el("button", { type: "submit", class: found.error ? "main" : "" }, "Read it so"));
     form.addEventListener("submit", async (event) => {
       event.preventDefault();
       const data = new FormData(form);
       const pairs = (suffix) => ROLES.filter((role) => data.get(role + suffix)).map((role) => `${role}=${data.get(role + suffix)}`).join(",");
-      const options = { columns: pairs(""), units: pairs("-unit"), runs: data.get("runs"), ...(data.get("rate") ? { rate_Hz: Number(data.get("rate")) } : {}), ...(found.options.sheet ? { sheet: found.options.sheet } : {}) };
+      const options = { columns: pairs(""), units: pairs("-unit"), runs: data.get("runs"), ...(data.get("rate") ? { rate_Hz: Number(data.get("rate")) } : {}), ...(data.get("sheet") ? { sheet: data.get("sheet") } : {}) };
       const again = await bench.ask(`/api/files/${found.id}`, "PUT", options);
       if (!again) return;
       known.set(found.id, again);
@@ -80,7 +81,7 @@
       show(again);
       rows();
     });
-    const preview = bench.table("First rows of the file", found.columns.map((head, i) => `${i + 1}: ${head}`), found.rows);
+    const preview = !found.columns.length ? "" : bench.table("First rows of the file", found.columns.map((head, i) => `${i + 1}: ${head}`), found.rows);
     return el("details", { open: Boolean(found.error) }, el("summary", {}, "Columns, units and runs"), form, preview);
   };
 

@@ -40,6 +40,7 @@
 
     const canvas = el("canvas", { class: "plot", tabindex: "0", role: "img", "aria-label": "Force over displacement. Keys: arrows left and right step through time, up and down choose the cycle, plus and minus zoom, 0 shows all, space plays." });
     const strip = el("canvas", { class: "strip", "aria-hidden": "true" });
+    const moved = runs[0].before ? null : el("canvas", { class: "strip", "aria-hidden": "true" });
     const said = el("output", { class: "read" });
     const choice = el("select", { onchange: () => pickRun(Number(choice.value)) }, ...runs.map((run, i) => el("option", { value: i }, run.name)));
     const cycle = el("select", { onchange: () => pickCycle(Number(cycle.value)) });
@@ -64,9 +65,12 @@
       canvas, said,
       el("div", { class: "bar" }, play, labelled("Time", time), labelled("Speed", speed), button("CSV", "Download the points of this run as CSV", save)),
       strip,
+      ...(moved ? [moved] : []),
     );
     const loops = new Sheet(canvas, "displacement (mm)", `force (${unit})`);
     const left = new Sheet(strip, "time (s)", runs[0].before ? `residual (${unit})` : `force (${unit})`);
+
+    const motion = moved && new Sheet(moved, "time (s)", "displacement (mm)");
 
     const run = () => runs[state.run];
     const span = () => {
@@ -219,6 +223,10 @@
       const before = minus("before");
       const after = minus("after");
       left.begin([r.t[0], r.t[r.t.length - 1]], before ? extent(before, after) : extent(r.measured));
+      if (motion) {
+        motion.begin([r.t[0], r.t[r.t.length - 1]], extent(r.x));
+        motion.inside(() => motion.line(r.t, r.x, 0, r.t.length, colour("--soft"), 0.8));
+      }
       left.inside((pen) => {
         if (state.cycle >= 0) {
           pen.fillStyle = colour("--card");
