@@ -10,6 +10,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
@@ -104,7 +105,12 @@ class Jobs:
 
     def warm(self) -> None:
         """Begin the process that answers at once."""
-        self._start(self.ask("ready"))
+
+        async def begun() -> None:
+            with suppress(CallFailedError):  # told to whoever asks it something
+                await self.ask("ready")
+
+        self._start(begun())
 
     def begin(self, kind: str, target: str, *args: Any) -> Job:
         """Begin something that takes long, as soon as a processor is free; one that is under way already is given."""

@@ -143,11 +143,15 @@ class Bench:
         return None if said is None or said[0] != self.stamp(key) else bool(said[1]["passed"])
 
 
+class BodyError(CampaignError):
+    """What is sent is too large, too slow, or not what a page of ours says."""
+
+
 async def body_of(request: Request, most: int) -> AsyncIterator[bytes]:
     """Parts of what is sent: no more than allowed, and no slower."""
     stated = request.headers.get("content-length", "0")
     if not stated.isdigit() or int(stated) > most:
-        raise CampaignError(f"more than {most // 1024**2 or 1} MiB; export fewer channels or rows")
+        raise BodyError(f"more than {most // 1024**2 or 1} MiB; export fewer channels or rows")
     size, begun, seen = 0, time.monotonic(), 0
     stream = request.stream()
     while True:
@@ -156,13 +160,13 @@ async def body_of(request: Request, most: int) -> AsyncIterator[bytes]:
         except StopAsyncIteration:
             return
         except TimeoutError as error:
-            raise CampaignError("the upload stood still; send the file again") from error
+            raise BodyError("the upload stood still; send the file again") from error
         size += len(part)
         if size > most:
-            raise CampaignError(f"more than {most // 1024**2 or 1} MiB; export fewer channels or rows")
+            raise BodyError(f"more than {most // 1024**2 or 1} MiB; export fewer channels or rows")
         if time.monotonic() - begun > SLOWEST_S:
             if size - seen < SLOWEST_BYTES:
-                raise CampaignError("the upload was too slow; send the file again")
+                raise BodyError("the upload was too slow; send the file again")
             begun, seen = time.monotonic(), size
         yield part
 
@@ -173,10 +177,15 @@ async def said(request: Request) -> dict[str, Any]:
     try:
         content = json.loads(text or b"{}")
     except (ValueError, RecursionError) as error:
-        raise CampaignError("what the page said is no JSON; load the page again") from error
+        raise BodyError("what the page said is no JSON; load the page again") from error
     if not isinstance(content, dict):
-        raise CampaignError("what the page said is no table; load the page again")
+        raise BodyError("what the page said is no table; load the page again")
     return content
+
+
+def stated(asked: dict[str, Any]) -> dict[str, Any]:
+    """Give what a page says without fields that were left empty."""
+    return {name: value for name, value in asked.items() if value not in ("", None, False)}
 
 
 def answered(handler: Handler) -> Callable[[Request], Awaitable[Response]]:
@@ -187,14 +196,16 @@ def answered(handler: Handler) -> Callable[[Request], Awaitable[Response]]:
         bench.last_seen = time.monotonic()
         try:
             result = await handler(bench, request)
-        except (ShjError, CallFailedError) as error:
-            return JSONResponse({"error": str(error)}, 400, HEADERS)
+        except BodyError as error:
+            return JSONResponse({"refused": str(error)}, 413, HEADERS)
+        except (ShjError, CallFailedError) as error:  # what the page asked for cannot be: it says so, in these words
+            return JSONResponse({"refused": str(error)}, headers=HEADERS)
         except OSError as error:
-            return JSONResponse({"error": system_words(error)}, 500, HEADERS)
+            return JSONResponse({"refused": system_words(error)}, 500, HEADERS)
         except ClientDisconnect:
             return Response(status_code=499)
         except Exception as error:  # told to the page in words, never as a traceback
-            return JSONResponse({"error": words_of(error)}, 500, HEADERS)
+            return JSONResponse({"refused": words_of(error)}, 500, HEADERS)
         return result if isinstance(result, Response) else JSONResponse(result, headers=HEADERS)
 
     return route
@@ -246,6 +257,8 @@ async def events(bench: Bench, request: Request) -> Response:
                 try:
                     kind, content = await asyncio.wait_for(queue.get(), 15.0)
                     yield f"event: {kind}\ndata: {json.dumps(content)}\n\n"
+                    if kind == "ended":
+                        return
                 except TimeoutError:
                     yield ": still here\n\n"
                 bench.last_seen = time.monotonic()
@@ -280,7 +293,7 @@ async def file(bench: Bench, request: Request) -> Any:
         bench.say("changed", "file")
         return {}
     if request.method == "PUT":
-        asked = await said(request)
+        asked = stated(await said(request))
         form = bench.read[key][1].get("form", "") if key in bench.read else ""
         found = await bench.jobs.ask("read_file", bench.session.folder, path, asked)
         bench.session.set_reading(key, asked, form if not found["error"] else "")
@@ -350,7 +363,7 @@ async def end(bench: Bench, request: Request) -> Any:
 
 async def card(bench: Bench, request: Request) -> Any:
     """Give the card of each set for what a designer asks."""
-    asked = {name: value for name, value in (await said(request)).items() if value not in ("", None, False)}
+    asked = stated(await said(request))
     found = await bench.jobs.ask("card", bench.session.folder, asked)
     words = [word for name, value in asked.items() for word in _flag(name, value)]
     return {**found, "command": bench.command("margins", bench.session.folder, *words)}
@@ -372,7 +385,7 @@ def _flag(name: str, value: Any) -> list[str]:
 
 async def margins(bench: Bench, request: Request) -> Any:
     """Begin to draw up and write the margins for what a designer asks."""
-    asked = {name: value for name, value in (await said(request)).items() if value not in ("", None, False)}
+    asked = stated(await said(request))
     return bench.jobs.begin("margins", "margins", bench.session.folder, asked).told()
 
 
@@ -400,7 +413,7 @@ async def plan(bench: Bench, request: Request) -> Any:
     group, device = bench.session.device(key)
     known = ("max_stroke_mm", "max_speed_mm_s", "max_force_kN", "max_minutes", "rate_Hz")
     asked = await said(request)
-    limits = {name: float(asked[name]) for name in known if asked.get(name) not in ("", None)}
+    limits = {name: float(value) for name, value in stated(asked).items() if name in known}
     return bench.jobs.begin("plan", key, bench.session.folder, group.name, device.name, limits).told()
 
 

@@ -19,6 +19,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from functools import partial
 from html import escape
 from pathlib import Path
+from types import FrameType
 
 import uvicorn
 from starlette.applications import Starlette
@@ -183,11 +184,24 @@ def serve(folder: Path, *, browser: bool, tell: Callable[[str], None]) -> None:
             server_header=False,
             date_header=False,
         )
-        server = uvicorn.Server(config)
+        server = _Server(config, bench)
         show = partial(webbrowser.open, where.as_uri()) if browser else None
         with contextlib.suppress(KeyboardInterrupt):
             asyncio.run(_until_idle(server, bench, listening, show))
         tell("the bench is ended; what was finished is kept, and what was not goes on from its last checkpoint")
+
+
+class _Server(uvicorn.Server):
+    """A server that says goodbye to the pages that are open, so that none waits for more."""
+
+    def __init__(self, config: uvicorn.Config, bench: Bench) -> None:
+        super().__init__(config)
+        self.bench = bench
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Take the signal that ends it."""
+        self.bench.say("ended", "")
+        super().handle_exit(sig, frame)
 
 
 async def _until_idle(
@@ -201,5 +215,6 @@ async def _until_idle(
         await asyncio.wait([serving], timeout=5.0)
         bench.jobs.rest()
         if not bench.listeners and not bench.jobs.under_way and time.monotonic() - bench.last_seen > IDLE_S:
+            bench.say("ended", "")
             server.should_exit = True
     await serving

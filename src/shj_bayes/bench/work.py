@@ -149,11 +149,14 @@ def check(folder: Path, set_name: str, name: str, tell: Tell) -> Told:
     """Say what the recordings of a device can tell, with its most probable loop; what stands in the way of a fit."""
     device = device_in(folder, set_name, name)
     how = device.options
-    given = [
-        read(path, columns=how.columns, units=how.units, rate_Hz=how.rate_Hz, sheet=how.sheet)
-        for path in device.recordings
-    ]
-    recordings = remarked(settle(given, how.runs), how.free)
+    try:
+        given = [
+            read(path, columns=how.columns, units=how.units, rate_Hz=how.rate_Hz, sheet=how.sheet)
+            for path in device.recordings
+        ]
+        recordings = remarked(settle(given, how.runs), how.free)
+    except RecordingError as error:
+        return {"passed": False, "reasons": [str(error)], "lines": [], "rows": []}
     found = [f for one in recordings for f in one.findings]
     blocking = [f.message for f in found if f.severity == "unusable"]
     if blocking:

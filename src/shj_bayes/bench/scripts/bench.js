@@ -8,19 +8,16 @@ bench.say = (words, bad = false) => {
   at("said").classList.toggle("bad", bad);
 };
 
-/* Ask the server; an error that it tells in words is said, and given as null. */
+/* Ask the server; a refusal, which it tells in words, is said, and given as null. */
 bench.ask = async (path, method = "GET", content = undefined, quiet = false) => {
   const raw = content instanceof Blob;
   const body = content === undefined || raw ? content : JSON.stringify(content);
   try {
     const answer = await fetch(path, { method, body, headers: body && !raw ? { "Content-Type": "application/json" } : {} });
     const said = await answer.json();
-    if (said.error !== undefined && !answer.ok) {
-      if (quiet) return { refused: said.error };
-      bench.say(said.error, true);
-      return null;
-    }
-    return said;
+    if (said.refused === undefined || quiet) return said;
+    bench.say(said.refused, true);
+    return null;
   } catch {
     bench.say("The bench does not answer. If it was ended, begin it again by its command: everything that was finished is kept.", true);
     return null;
@@ -106,6 +103,10 @@ const listen = () => {
     }
   });
   source.addEventListener("changed", bench.later);
+  source.addEventListener("ended", () => {
+    source.close();
+    bench.say("The bench was ended. Begin it again by its command: everything that was finished is kept.", true);
+  });
   source.addEventListener("open", bench.later);
 };
 addEventListener("DOMContentLoaded", () => {
