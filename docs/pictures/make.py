@@ -8,10 +8,13 @@ of the pages by a headless Chromium, which must be on the path. ``python docs/pi
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+from playwright.sync_api import sync_playwright
 
 from shj_bayes.report.browse import find_browser
 
@@ -42,6 +45,30 @@ def main() -> None:
             picture = HERE / f"{name}.png"
             photograph(browser, page, picture)
             print(f"{picture.name}: {picture.stat().st_size // 1000} kB")
+        bench(browser, place / "lab")
+
+
+def bench(browser: str, folder: Path) -> None:
+    """Photograph the bench with a checked and fitted device of the demo."""
+    command = [sys.executable, "-m", "shj_bayes", "bench", str(folder), "--no-browser"]
+    served = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert served.stdout is not None
+    address = served.stdout.readline().partition(": ")[2].strip()
+    try:
+        with sync_playwright() as play:
+            page = play.chromium.launch(executable_path=browser, args=["--no-sandbox"]).new_page(
+                viewport={"width": 1280, "height": HEIGHT}
+            )
+            page.goto(address)
+            page.get_by_role("button", name="A clean device").click()
+            page.locator("#fit-bar button.main:enabled").click(timeout=60_000)
+            page.locator("#fit-result .badge").wait_for(timeout=240_000)
+            page.locator("#said").evaluate("node => { node.textContent = ''; }")
+            page.screenshot(path=HERE / "bench.png")
+    finally:
+        served.send_signal(signal.SIGINT)
+        served.communicate(timeout=30)
+    print(f"bench.png: {(HERE / 'bench.png').stat().st_size // 1000} kB")
 
 
 def shj_bayes(*words: str) -> None:

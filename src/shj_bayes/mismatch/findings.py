@@ -1,7 +1,7 @@
 """What a search says: which classes are there with what probability, how large, and by what name."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeVar
@@ -101,15 +101,15 @@ class Answer:
     inclusion: dict[str, float]  # probability of every class that was fitted
 
 
-def answer_of(out: Search) -> Answer:
-    """Weigh what a finished search found."""
+def answer_of(out: Search, dropped: Collection[str] = ()) -> Answer:
+    """Weigh what a finished search found; no curve is taken apart into classes that were dropped."""
     ranked = sorted(out.found.values(), key=lambda h: -h.log_weight)
     probability = softmax([h.log_weight for h in ranked])
     # A set is what matters of a hypothesis; improbable hypotheses are taken as they are.
     reduced: dict[frozenset[str], float] = {}
     best: dict[frozenset[str], Hypothesis] = {}
     for h, p in zip(ranked, probability, strict=True):
-        shown = _split(out, h) if p >= 1e-6 else h
+        shown = _split(out, h, dropped) if p >= 1e-6 else h
         shares = truly_there(out, shown, that_matter(out, shown)) if p >= 1e-6 else {h.key: 1.0}
         for key, share in shares.items():
             reduced[key] = reduced.get(key, 0.0) + float(p) * share
@@ -293,7 +293,7 @@ def _as_curve(fitter: Fitter, h: Hypothesis, place: int) -> Hypothesis | None:
     return fitter.fitted(replaced(h, place, best), start)
 
 
-def _split(out: Search, h: Hypothesis) -> Hypothesis:
+def _split(out: Search, h: Hypothesis, dropped: Collection[str] = ()) -> Hypothesis:
     """Give the hypothesis with formulas for a curve that holds their class beside its own, where they follow it.
 
     Of the other class alone, or of both. No test can tell the curve from them, and they say what it is; see
@@ -301,7 +301,7 @@ def _split(out: Search, h: Hypothesis) -> Hypothesis:
     """
     for place, member in enumerate(h.members):
         second = second_of(member)
-        if second is None or second in h.key or second not in out.fitter.classes:
+        if second is None or second in (*h.key, *dropped) or second not in out.fitter.classes:
             continue
         allowed = tolerance(out.data, h, place)
         for one in _in_place_of(out.fitter, h, place, out.fitter.classes[second]):

@@ -11,7 +11,7 @@ from shj_bayes.inference.robust import cycles_through
 from shj_bayes.mismatch.classes import ALPHA
 from shj_bayes.mismatch.data import BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.findings import Answer, Reason, answer_of
-from shj_bayes.mismatch.hypothesis import Hypothesis, second_of, without
+from shj_bayes.mismatch.hypothesis import Hypothesis, without
 from shj_bayes.mismatch.laplace import Laplace, laplace, laplace_under
 from shj_bayes.mismatch.moves import Search
 from shj_bayes.model.parameters import FloatArray
@@ -150,12 +150,13 @@ def proven(out: Search, tell: Callable[[str], None] = lambda _: None) -> Proven:
     """Weigh what a finished search found, and drop what does not improve cycles that were left out.
 
     The dependence that is dropped is the one without which they are predicted best; the others are weighed anew
-    without it. What is then still missing, but has no dependence left that improves anything, is unknown.
+    without it, and it does not come back: each is dropped once at most. What is then still missing, but has no
+    dependence left that improves anything, is unknown.
     """
     dropped: list[DroppedMember] = []
     missing = False
     while True:
-        answer = answer_of(out)
+        answer = answer_of(out, [one.of for one in dropped])
         tell("predicting cycles that were left out")
         held = _LeftOut.of(out, answer)
         if not dropped:
@@ -177,13 +178,8 @@ def _nothing(answer: Answer) -> float:
 
 
 def _less(out: Search, shown: Hypothesis, of: str) -> Search:
-    """Give a search without the hypotheses that hold a class, and with the shown one less that class.
-
-    Where none has it by name, a curve holds it beside its own class.
-    """
+    """Give a search without the hypotheses that hold a class, and with the shown one less that class."""
     found = {key: h for key, h in out.found.items() if of not in key}
-    if len(found) == len(out.found):
-        found = {key: h for key, h in found.items() if all(second_of(member) != of for member in h.members)}
     place = next(i for i, member in enumerate(shown.members) if member.of.id == of)
     if shown.key - {of} not in found:
         members, z = without(out.data, shown, place)
