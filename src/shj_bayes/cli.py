@@ -556,12 +556,14 @@ def completion(shell: str) -> None:
     click.echo(found(main, {}, "shj-bayes", "_SHJ_BAYES_COMPLETE").source())
 
 
+PROOF_SEED = 30581942  # of the project's own proof
+
+
 @main.command()
 @click.option("-n", "n", type=click.IntRange(1, 9999), default=200, show_default=True, help="Number of trials.")
-@click.option(
-    "--seed", type=click.IntRange(0, 2**32 - 1), default=21401127, show_default=True, help="Of what is concealed."
-)
+@click.option("--seed", type=click.IntRange(0, 2**128 - 1), default=PROOF_SEED, help="Of what is concealed.")
 @click.option("-o", "--out", type=FOLDER, help="Folder for the results.")
+@click.option("--earlier", is_flag=True, help="Trials of the first kind: Table 1 and a test of several speeds.")
 @click.option("--check", "checked", type=FOLDER, help="Check a finished proof.")
 @click.option("--recordings", type=FOLDER, help="Real recordings, answer withheld.")
 @click.option("--full", is_flag=True, help="Every diagnosis in full: three times as long.")

@@ -157,11 +157,22 @@ def test_the_secret_is_for_this_user_and_for_one_seed(tmp_path):
         seal.write_secret(tmp_path, SEED, 6)
 
 
+def test_a_proof_of_another_kind_is_refused_with_what_is_known(tmp_path):
+    seal.write_secret(tmp_path, SEED, 2, PROOF_1)
+    with pytest.raises(ProofError, match="unfinished proof of 2 trials, seed 31 --earlier; give"):
+        seal.write_secret(tmp_path, SEED, 2)
+    assert [key.protocol in ("paper", "improved") for key in seal.open_seal(tmp_path)] == [True, True]
+    text = (tmp_path / seal.OPENED).read_text(encoding="utf-8")
+    (tmp_path / seal.OPENED).write_text(text.replace("proof/1", "proof/9"), encoding="utf-8")
+    with pytest.raises(ProofError, match=r"is of schema 'shj-bayes/proof/9'; known are shj-bayes/proof/1, "):
+        seal.read_opened(tmp_path)
+
+
 def test_opening_publishes_what_was_sealed(tmp_path):
     secret = seal.write_secret(tmp_path, SEED, 3)
     keys = seal.open_seal(tmp_path)
-    seed, again, nonces = seal.read_opened(tmp_path)
-    assert (seed, again, nonces) == (SEED, keys, secret["nonces"])
+    opened = seal.read_opened(tmp_path)
+    assert opened == seal.Opened(PROOF_2, SEED, keys, secret["nonces"])
     assert not (tmp_path / seal.SECRET).exists()
 
 
