@@ -41,7 +41,7 @@ def score_trial(key: Key, record: Mapping[str, Any]) -> dict[str, Any]:
     """
     made = make(key, heldout=True)
     truth = truth_of(key, made[:2])
-    record = but_for_the_machine(key, record)
+    record = but_for_the_machine(record) if key.machine_kN_mm else record
     row: dict[str, Any] = {
         "number": key.number,
         "kind": key.kind,
@@ -85,12 +85,12 @@ def score_trial(key: Key, record: Mapping[str, Any]) -> dict[str, Any]:
     return row
 
 
-def but_for_the_machine(key: Key, record: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Take the machine's stretch off an answer: true where displacement was measured there, and nothing that K misses.
+def but_for_the_machine(record: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Take a machine's stretch off an answer: true where displacement is measured there, and nothing that K misses.
 
     An answer that names nothing else has found nothing of what is concealed.
     """
-    if not key.machine_kN_mm or not any(effect["id"] == FRAME for effect in record.get("effects", [])):
+    if not any(effect["id"] == FRAME for effect in record.get("effects", [])):
         return record
     effects = [effect for effect in record["effects"] if effect["id"] != FRAME]
     places = [e for e in record.get("coordinates", []) if (e["action"], e["coordinate"]) != FRAME_PAIR]
