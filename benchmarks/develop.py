@@ -6,9 +6,10 @@ then a table. ``--effect wear`` holds the forms of wear in turn, ``--effect wear
 the same whatever ``-n`` is; ``--first`` goes on behind trials that are done. Every trial is a line of
 ``build/develop/*.jsonl``, with its key. The figures set thresholds and prove nothing.
 
-``--others`` draws as a proof does: triangles, ramps with rests, several speeds, earthquakes, cycles about an offset ...;
-hum, noise that grows with the force; 5 to 1000 Hz; displacement at the machine. Without it Table 1 and a test of several
-speeds, as the earlier kind of proof. ``--protocol`` and ``--noise`` choose among all. ``--first-off`` puts the first force reading of each run three standard deviations off.
+``--others`` draws as a proof does: triangles, ramps with rests, several speeds, earthquakes, cycles about an offset;
+hum, noise that grows with the force; 5 to 1000 Hz; displacement at the machine. Without it Table 1 and a test of
+several speeds, as the earlier kind of proof. ``--protocol`` and ``--noise`` choose among all. ``--first-off`` puts the
+first force reading of each run three standard deviations off.
 ``--without split_curve`` leaves a move of the search out: what it is worth. ``--table FILE...`` prints the tables of
 trials that are done: by effect; by protocol and noise false alarms, coordinates, and the error on cycles left out
 before and after.

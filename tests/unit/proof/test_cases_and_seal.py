@@ -115,8 +115,8 @@ def test_development_draws_from_the_same_design():
     ("schema", "digest"),
     [
         (PROOF_1, "c9c80fd533f309ddfecea3224c733fbf0b162b40cd75f7fcd50b961207198817"),
-        (PROOF_2, ""),
-        (CHALLENGE, ""),
+        (PROOF_2, "59a2c13fae9b7102e1712156a888b5c08be2c3efffbf7ad315eb17087331d09f"),
+        (CHALLENGE, "cf827738ddc609e60afb426fa15ebe3b5b5a0f1ee8fc5db09876b700018c463b"),
     ],
 )
 def test_what_is_sealed_does_not_change(schema, digest):

@@ -102,7 +102,13 @@ def test_another_seed_and_a_changed_recording_are_noticed(kit):
 
 
 EXCEL = "Device;MISSING;Coordinate;Effect;Confidence;remarks\r\n{}"
-ROWS = ("D01;Yes;Capacity / Travel ; Wear ;0,8;;", "2;NO;;;;", ";;;;;", "d03;Can\u2019t tell;;;", "D04;yes;;unknown;90 %;odd")
+ROWS = (
+    "D01;Yes;Capacity / Travel ; Wear ;0,8;;",
+    "2;NO;;;;",
+    ";;;;;",
+    "d03;Can\u2019t tell;;;",
+    "D04;yes;;unknown;90 %;odd",
+)
 
 
 @pytest.mark.parametrize(

@@ -432,7 +432,9 @@ def test_a_machine_that_deforms_moves_as_told_and_the_device_less():
 
 
 def test_partial_cycles_stay_on_one_side_and_others_reach_what_they_say():
-    partial, short = (course(name, 10.0, 10, np.random.default_rng(4)) for name in ("partial cycles", "ten half-cycles"))
+    partial, short = (
+        course(name, 10.0, 10, np.random.default_rng(4)) for name in ("partial cycles", "ten half-cycles")
+    )
     later = np.abs(partial.x_mm[np.argmax(np.abs(partial.x_mm) > 1.0) :])
     assert later.min() >= 0.0
     assert later.max() == pytest.approx(85.0, abs=0.5)

@@ -396,7 +396,9 @@ def read_sheet(path: Path, devices: Sequence[str]) -> dict[str, Answer]:
         except _CellError as error:
             wrong.append(f"row {number}{f' ({device})' if device else ''}, column {error.column}: {error}")
     seen = {text.partition("(")[2].partition(")")[0] for text in wrong} | set(answers)
-    wrong += [f"no row for {name}; write 'cannot tell' where you have no answer" for name in devices if name not in seen]
+    wrong += [
+        f"no row for {name}; write 'cannot tell' where you have no answer" for name in devices if name not in seen
+    ]
     if wrong:
         more = f"; and {len(wrong) - MOST_ERRORS} more" if len(wrong) > MOST_ERRORS else ""
         raise ProofError(f"{path.name} is not scored: {'; '.join(wrong[:MOST_ERRORS])}{more}")
@@ -574,7 +576,9 @@ def _check(kit: Path, sealed: Mapping[str, Any], keys: Sequence[Key], seed: int)
         with TemporaryDirectory() as scratch:
             again = [seal.sha256(path) for path in write_recordings(key, Path(scratch))]
         same = same and again == [file["sha256"] for file in one["files"]]
-    made = "the same to the byte" if same else f"NOT to the byte (made with {sealed['versions']}; other libraries round)"
+    made = (
+        "the same to the byte" if same else f"NOT to the byte (made with {sealed['versions']}; other libraries round)"
+    )
     return [
         f"seal: the truth about {len(keys)} devices follows from seed {seed} and is what was sealed",
         f"seal: recordings are as they were sealed; made again from the truth: {made}",
@@ -604,7 +608,9 @@ def _seed(kit: Path, n: int) -> int:
     try:
         seed, devices = int(opening["seed"]), int(opening["n"])
     except (KeyError, TypeError, ValueError) as error:
-        raise ProofError(f"{path.name} is damaged ({type(error).__name__}: {error}); give the seed with --seed") from error
+        raise ProofError(
+            f"{path.name} is damaged ({type(error).__name__}: {error}); give the seed with --seed"
+        ) from error
     if devices != n:
         raise ProofError(f"{path.name} opens a kit of {devices} devices; {kit.name} has {n}")
     return seed

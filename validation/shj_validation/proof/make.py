@@ -123,9 +123,7 @@ def _at_the_device(drive: Drive, key: Key, acts: Acts, speed_share: float) -> Fl
     """Force on the fine grid, kN."""
     device: Device = key.device
     force = rate_free(drive, device, acts)
-    return np.asarray(
-        force * (1.0 + (device.gamma + acts.speed_per_mm_s) * speed_share * drive.speed) + acts.added_kN
-    )
+    return np.asarray(force * (1.0 + (device.gamma + acts.speed_per_mm_s) * speed_share * drive.speed) + acts.added_kN)
 
 
 def _at_the_cell(force: FloatArray, drive: Drive, key: Key, acts: Acts) -> FloatArray:
