@@ -566,9 +566,7 @@ PROOF_SEED = 30581942  # of the project's own proof
 @click.option("--earlier", is_flag=True, help="Trials of the first kind: Table 1 and a test of several speeds.")
 @click.option("--check", "checked", type=FOLDER, help="Check a finished proof.")
 @click.option("--recordings", type=FOLDER, help="Real recordings, answer withheld.")
-@click.option(
-    "--challenge", type=click.IntRange(1, 999), metavar="N", help="Write N devices without truth, for anyone."
-)
+@click.option("--challenge", type=click.IntRange(1, 999), metavar="N", help="Write N devices without truth.")
 @click.option("--score", "sheet", type=click.Path(path_type=Path), help="Score the answers to a challenge.")
 @click.option("--full", is_flag=True, help="Every diagnosis in full: three times as long.")
 @click.option("--open-now", is_flag=True, help="Open a stopped proof and score the trials diagnosed so far.")

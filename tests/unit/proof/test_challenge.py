@@ -162,15 +162,16 @@ def test_a_sheet_without_its_kit_or_its_columns_is_refused(kit, tmp_path):
 
 
 WEAR, SEAM = stated_key("wear", 0.05, seed=3), stated_key("seam", 0.1, seed=3)
+TRAVEL, TIME = "capacity over travel", "capacity over time"
 SWING = stated_key("clamping_swing", 0.06, seed=3)
 
 
 @pytest.mark.parametrize(
     ("key", "required", "answer", "judged"),
     [
-        (WEAR, {"wear"}, Answer("D01", "yes", (("capacity over travel",),), (("wear",),)), (True, True, True)),
-        (WEAR, {"wear"}, Answer("D01", "yes", (("capacity over time",), ("capacity over travel",))), (True, True, "not said")),
-        (WEAR, {"wear"}, Answer("D01", "yes", (("capacity over travel", "added over time"),)), (True, False, "not said")),
+        (WEAR, {"wear"}, Answer("D01", "yes", ((TRAVEL,),), (("wear",),)), (True, True, True)),
+        (WEAR, {"wear"}, Answer("D01", "yes", ((TIME,), (TRAVEL,))), (True, True, "not said")),
+        (WEAR, {"wear"}, Answer("D01", "yes", ((TRAVEL, "added over time"),)), (True, False, "not said")),
         (WEAR, {"wear"}, Answer("D01", "no"), (False, "not said", "not said")),
         (WEAR, {"wear"}, Answer("D01", "cannot tell"), ("not said", "not said", "not said")),
         (WEAR, set(), Answer("D01", "no"), (None, None, None)),

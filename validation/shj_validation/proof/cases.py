@@ -377,9 +377,9 @@ def _draw(number: int, kind: str, chosen: list[Simulator], rng: np.random.Genera
     if design.first_off and rng.random() < design.first_off:
         key = replace(key, first_sd=float(rng.choice([-1.0, 1.0])) * FIRST_SD)
     if design.machine and rng.random() < design.machine:
-        # A spring in series springs back at the jump of the published rule, which is a reversal again: see rig.py. While
-        # the device sticks it moves slower than the machine by K/machine: a law of speed must not show that, as K does
-        # not take it up.
+        # A spring in series springs back at the jump of the published rule, which is a reversal again: see rig.py.
+        # While the device sticks it moves slower than the machine by K/machine: a law of speed must not show that, as
+        # K does not take it up.
         soft = float(np.exp(rng.uniform(*np.log(SOFT)))) * device.K
         slides = 1.0 / (SLIDES_MM / (2 * device.Fy) - 1.0 / device.K)
         slow = device.K * (abs(device.gamma) * peak_speed(protocol) / (0.7 * SMALL) - 1.0)
@@ -388,7 +388,7 @@ def _draw(number: int, kind: str, chosen: list[Simulator], rng: np.random.Genera
 
 
 def _rate(rng: np.random.Generator, design: Design, protocol: str, noise: str) -> float:
-    """Sampling rate, Hz: not too many readings, and enough of them to show hum as hum."""
+    """Draw a sampling rate, Hz: not too many readings, and enough of them to show hum as hum."""
     if design.most_readings is None:
         return float(rng.choice(list(design.rates), p=list(design.rates.values())))
     least, most = HUM_HZ if noise == HUM else 0.0, design.most_readings / duration(protocol)

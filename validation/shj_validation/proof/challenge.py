@@ -266,7 +266,7 @@ def score_challenge(sheet: Path, seed: int | None = None, out: Path | None = Non
         name: [judge(key, required, answers[_name(key)]) for key, required in zip(keys, truths, strict=True)]
         for name, answers in sheets.items()
     }
-    record = {
+    record: dict[str, Any] = {
         "schema": CHALLENGE,
         "seed": str(seed),
         "seal": notes,

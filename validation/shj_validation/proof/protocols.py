@@ -1,5 +1,6 @@
 """Displacement histories on a fine grid: the paper's Table 1, an improved test, and others that laboratories run."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -151,7 +152,7 @@ def peak_speed(protocol: str) -> float:
     return PEAK_SPEED_MM_S[protocol]
 
 
-def _blocks(table: list[tuple[float, float, float, float]], dt: float, rest_s: float = REST_S) -> FloatArray:
+def _blocks(table: Sequence[tuple[float, float, float, float]], dt: float, rest_s: float = REST_S) -> FloatArray:
     """Blocks one after another, eased where the speed changes from one to the next."""
     parts = [np.zeros(round(rest_s / dt)), *(_sine(*block, dt) for block in table)]
     x = np.concatenate(parts)
@@ -202,9 +203,9 @@ def _partial(rng: np.random.Generator, dt: float) -> FloatArray:
                 at, before = knots[-1]
                 knots.append((at + abs(end - before) / pace, float(end)))
     times, places = np.array(knots).T
-    at = np.arange(int(times[-1] / dt)) * dt
-    after = np.clip(np.searchsorted(times, at, side="right"), 1, times.size - 1)
-    share = (at - times[after - 1]) / (times[after] - times[after - 1])
+    time = np.arange(int(times[-1] / dt)) * dt
+    after = np.clip(np.searchsorted(times, time, side="right"), 1, times.size - 1)
+    share = (time - times[after - 1]) / (times[after] - times[after - 1])
     x = places[after - 1] + (places[after] - places[after - 1]) * 0.5 * (1.0 - np.cos(np.pi * share))
     smooth = gaussian_filter1d(x, CORNER_S / dt, mode="nearest")
     return np.asarray(smooth - smooth[0])

@@ -29,17 +29,17 @@ SURE = (0.05, 0.95)  # probabilities between which the answer leaves open whethe
 SOURCES = {
     "brfd-lehigh": (
         "band-brake rotary friction damper, Lehigh University",
-        "D. Coble, P. Huggins, L. Cao, J. Ricles, A. Downey, Dataset-Friction-Damper-with-Backlash, 2022 (CC BY-SA 4.0); "
-        "device: Downey et al., Engineering Structures 113 (2016) 287-298",
+        "D. Coble, P. Huggins, L. Cao, J. Ricles, A. Downey, Dataset-Friction-Damper-with-Backlash, 2022 (CC BY-SA "
+        "4.0); device: Downey et al., Engineering Structures 113 (2016) 287-298",
         "free travel of 2.8 to 3.3 mm near zero force, 1.5 mm with the loosest band; push and pull differ, strongly at "
-        "36 lb, hardly at 80 lb; a breakaway peak of 1.1 to 1.5 times the plateau in push; stick-slip at 44 to 57 Hz mostly "
-        "in pull; little effect of speed",
+        "36 lb, hardly at 80 lb; a breakaway peak of 1.1 to 1.5 times the plateau in push; stick-slip at 44 to 57 Hz "
+        "mostly in pull; little effect of speed",
     ),
     "seals-tud": (
         "piston seal, TU Delft",
         "E. Zillen, MSc thesis, TU Delft, 2021 (CC0)",
-        "push and pull differ in all; a breakaway in the first stroke; growth from cycle to cycle in the O-ring at 7 bar; "
-        "the others steady; the force rises towards the end of the stroke in PK at 5 bar and in the O-rings",
+        "push and pull differ in all; a breakaway in the first stroke; growth from cycle to cycle in the O-ring at 7 "
+        "bar; the others steady; the force rises towards the end of the stroke in PK at 5 bar and in the O-rings",
     ),
     "emps": (
         "ball-screw axis, nonlinear benchmark EMPS",
@@ -54,9 +54,9 @@ SOURCES = {
     "steel-coupons": (
         "cyclic steel coupon",
         "RESSPyLab, EPFL (MIT)",
-        "no friction at all: steel that yields and hardens",
+        "no friction: steel that yields and hardens",
     ),
-    "quasistatic": ("steel that yields", "C. Slotboom, hysteresis (Apache-2.0)", "no friction at all"),
+    "quasistatic": ("steel that yields", "C. Slotboom, hysteresis (Apache-2.0)", "no friction: steel that yields"),
 }
 
 
