@@ -88,6 +88,24 @@ def test_a_seed_is_drawn_from_many_and_a_kit_is_not_overwritten(tmp_path):
         make_challenge(tmp_path / "kit", 1)
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda s: s.update(schema="other"), r"seal.json in kit is no seal of a challenge"),
+        (lambda s: s["devices"][1].pop("files"), r"seal.json in kit lacks something"),
+        (lambda s: s["devices"].pop(0), "must list D01, D02 ... in order, 999 devices at most"),
+        (lambda s: s["devices"][0]["files"][0].update(name="../../answers.csv"), r"answers.csv is not in the kit"),
+    ],
+)
+def test_a_damaged_seal_is_refused_in_words(kit, change, words):
+    sheet = filled(kit, *(f"{name},cannot tell,,," for name in DEVICES))
+    sealed = json.loads((kit / "seal.json").read_text(encoding="utf-8"))
+    change(sealed)
+    (kit / "seal.json").write_text(json.dumps(sealed), encoding="utf-8")
+    with pytest.raises(ProofError, match=words):
+        score_challenge(sheet)
+
+
 def test_another_seed_and_a_changed_recording_are_noticed(kit):
     sheet = filled(kit, *(f"{name},cannot tell,,," for name in DEVICES))
     with pytest.raises(ProofError, match="from seed 6 is not what was sealed"):

@@ -19,7 +19,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from shj_bayes._util.files import read_bytes, read_json, write_text
+from shj_bayes._util.files import damage_told, read_bytes, read_json, write_text
 from shj_bayes.errors import ProofError
 from shj_bayes.inference.store import versions
 from shj_bayes.model.effects.catalogue import catalogue
@@ -36,7 +36,7 @@ SHEET, SEAL, README, OURS, RECORDINGS = "answers.csv", "seal.json", "README.txt"
 COLUMNS = ("device", "missing", "coordinate", "effect", "confidence")
 MISSING = {"yes": "yes", "y": "yes", "no": "no", "n": "no", "cannot tell": "cannot tell", "can't tell": "cannot tell"}
 UNKNOWN = "unknown"
-MOST_BYTES, MOST_ERRORS = 1_000_000, 10
+MOST_BYTES, MOST_ERRORS, MOST_DEVICES = 1_000_000, 10, 999
 RECORDING_BYTES = 200_000_000
 ACTION_WORDS = {
     "capacity": "the sliding force is multiplied by something",
@@ -249,10 +249,8 @@ def score_challenge(sheet: Path, seed: int | None = None, out: Path | None = Non
     kit = sheet.resolve().parent
     if not (kit / SEAL).exists():
         raise ProofError(f"{SEAL} is not beside {sheet.name}: a sheet is scored in the folder of its kit; put it there")
-    sealed = read_json(kit / SEAL, ProofError)
-    if not isinstance(sealed, dict) or sealed.get("schema") != CHALLENGE:
-        raise ProofError(f"{SEAL} in {kit.name} is no seal of a challenge ({CHALLENGE})")
-    devices = [str(one["device"]) for one in sealed["devices"]]
+    sealed = _sealed(kit)
+    devices = [one["device"] for one in sealed["devices"]]
     sheets = {sheet.name: read_sheet(sheet, devices)}  # before anything is opened
     if (kit / OURS).exists() and sheet.name != OURS:
         sheets[f"{OURS}, of shj-bayes"] = read_sheet(kit / OURS, devices)
@@ -538,7 +536,7 @@ def _ranked(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 def answer_kit(kit: Path, workers: int = 1) -> Path:
     """Have this project's diagnosis fill in a sheet, behind the fence, and write it as ``ours.csv``."""
-    devices = [str(one["device"]) for one in read_json(kit / SEAL, ProofError)["devices"]]
+    devices = [one["device"] for one in _sealed(kit)["devices"]]
     answers: dict[str, Answer] = {}
     tasks = [
         {"name": name, "recordings": sorted((kit / RECORDINGS).glob(f"{name}_*")), "model": "continuous"}
@@ -562,6 +560,26 @@ def _made(key: Key, folder: Path) -> list[Path]:
         for path in write_recordings(key, Path(scratch)):
             out.append(path.replace(folder / f"{_name(key)}_{path.name}"))
     return out
+
+
+def _sealed(kit: Path) -> dict[str, Any]:
+    """Read the seal of a kit, as far as it is one."""
+    sealed = read_json(kit / SEAL, ProofError)
+    if not isinstance(sealed, dict) or sealed.get("schema") != CHALLENGE:
+        raise ProofError(f"{SEAL} in {kit.name} is no seal of a challenge ({CHALLENGE})")
+    with damage_told(f"{SEAL} in {kit.name}", ProofError):
+        devices = [
+            {
+                "device": str(one["device"]),
+                "key_sha256": str(one["key_sha256"]),
+                "files": [{"name": Path(str(f["name"])).name, "sha256": str(f["sha256"])} for f in one["files"]],
+            }
+            for one in sealed["devices"]
+        ]
+    names = [_device_name(number) for number in range(1, len(devices) + 1)]
+    if not 0 < len(devices) <= MOST_DEVICES or [one["device"] for one in devices] != names:
+        raise ProofError(f"{SEAL} in {kit.name} must list D01, D02 ... in order, {MOST_DEVICES} devices at most")
+    return {"devices": devices, "versions": sealed.get("versions")}
 
 
 def _check(kit: Path, sealed: Mapping[str, Any], keys: Sequence[Key], seed: int) -> list[str]:
@@ -617,7 +635,11 @@ def _seed(kit: Path, n: int) -> int:
 
 
 def _name(key: Key) -> str:
-    return f"D{key.number:02d}"
+    return _device_name(key.number)
+
+
+def _device_name(number: int) -> str:
+    return f"D{number:02d}"
 
 
 def _nonce(seed: int, key: Key) -> str:
