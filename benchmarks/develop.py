@@ -6,9 +6,10 @@ then a table. ``--effect wear`` holds the forms of wear in turn, ``--effect wear
 the same whatever ``-n`` is; ``--first`` goes on behind trials that are done. Every trial is a line of
 ``build/develop/*.jsonl``, with its key. The figures set thresholds and prove nothing.
 
-``--others`` draws other protocols and noises than a proof does: triangles, ramps with rests, two speeds, an earthquake;
-white alone, rounded, with hum, growing with the force; the motion begins with the first reading. ``--protocol`` and
-``--noise`` choose among all. ``--first-off`` puts the first force reading of each run three standard deviations off.
+``--others`` draws as a proof does: triangles, ramps with rests, several speeds, earthquakes, cycles about an offset;
+hum, noise that grows with the force; 5 to 1000 Hz; displacement at the machine. Without it Table 1 and a test of
+several speeds, as the earlier kind of proof. ``--protocol`` and ``--noise`` choose among all. ``--first-off`` puts the
+first force reading of each run three standard deviations off.
 ``--without split_curve`` leaves a move of the search out: what it is worth. ``--table FILE...`` prints the tables of
 trials that are done: by effect; by protocol and noise false alarms, coordinates, and the error on cycles left out
 before and after.
@@ -19,6 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +33,10 @@ from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions
-from shj_validation.proof.cases import KINDS, Key, canonical, development_keys
+from shj_validation.proof.cases import DESIGNS, KINDS, PROOF_1, PROOF_2, Key, canonical, development_keys
 from shj_validation.proof.make import make
-from shj_validation.proof.noise import NOISES, TRIAL_NOISES
-from shj_validation.proof.protocols import PEAK_SPEED_MM_S, TRIAL_PROTOCOLS
+from shj_validation.proof.noise import ALL_NOISES
+from shj_validation.proof.protocols import PEAK_SPEED_MM_S
 from shj_validation.proof.score import coordinate_right, outcome, rate
 from shj_validation.proof.simulators.simulator import simulators_by_id
 from shj_validation.proof.summary import RIGHT_OUTCOMES
@@ -54,10 +56,9 @@ def main() -> None:
     parser.add_argument("--kind", choices=KINDS, default="one", help="what the trials hold")
     parser.add_argument("--effect", help="simulator, or effect whose forms are taken in turn")
     parser.add_argument("--rate", type=float, help="sampling rate, Hz; drawn if not given")
-    known = list(dict.fromkeys((*PEAK_SPEED_MM_S, *TRIAL_PROTOCOLS))), list(dict.fromkeys((*NOISES, *TRIAL_NOISES)))
-    parser.add_argument("--others", action="store_true", help="protocols and noises that no proof draws")
-    parser.add_argument("--protocol", action="append", choices=known[0], help="to draw from; may be repeated")
-    parser.add_argument("--noise", action="append", choices=known[1], help="to draw from; may be repeated")
+    parser.add_argument("--others", action="store_true", help="what a proof draws from, not its earlier kind")
+    parser.add_argument("--protocol", action="append", choices=PEAK_SPEED_MM_S, help="to draw from; may be repeated")
+    parser.add_argument("--noise", action="append", choices=ALL_NOISES, help="to draw from; may be repeated")
     parser.add_argument("--first-off", action="store_true", help="first force reading of each run three deviations off")
     parser.add_argument("--without", action="append", choices=MOVES, default=[], help="moves to leave out")
     parser.add_argument(
@@ -68,16 +69,15 @@ def main() -> None:
         done = [json.loads(text) for path in arguments.table for text in path.read_text().splitlines()]
         print(tables(list({canonical(row["key"]): row for row in done}.values())))  # of a trial made again the last
         return
-    usual = (TRIAL_PROTOCOLS, TRIAL_NOISES) if arguments.others else (PEAK_SPEED_MM_S, NOISES)
-    protocols, noises = tuple(arguments.protocol or usual[0]), tuple(arguments.noise or usual[1])
+    usual = DESIGNS[PROOF_2 if arguments.others else PROOF_1]
+    protocols, noises = arguments.protocol or usual.protocols, arguments.noise or usual.noises
     keys = development_keys(
         arguments.seed,
         arguments.n,
         arguments.kind,
         effect=arguments.effect,
         rate_Hz=arguments.rate,
-        protocols=protocols,
-        noises=noises,
+        design=replace(usual, protocols=protocols, noises=noises),
         first=arguments.first_off,
     )
     words = [arguments.kind, arguments.effect, arguments.rate, "others" if arguments.others else None]
@@ -125,6 +125,7 @@ def line(row: dict[str, Any]) -> str:
     if key["effects"] and not row["required"]:
         concealed += " too small"
     setting = f"{key['protocol']} {key['rate_Hz']:g} Hz {key['reversal'][:4]} {key['nuisance']['noise']}"
+    setting += " at the machine" if key.get("machine_kN_mm") else ""
     setting += " first off" if key.get("first_sd") else ""
     place = {True: "right", False: "WRONG", None: "-"}[row["right"]]
     stated = sorted(row.get("coordinates", []), key=lambda entry: -entry["probability"])[:4]
@@ -142,7 +143,8 @@ def tables(rows: list[dict[str, Any]]) -> str:
     for row in rows:
         key = row["key"]
         first = "first reading off" if key.get("first_sd") else "first reading as others"
-        for name in (f"protocol: {key['protocol']}", f"noise: {key['nuisance']['noise']}", first):
+        where = "displacement: at the machine" if key.get("machine_kN_mm") else "displacement: across the slip"
+        for name in (f"protocol: {key['protocol']}", f"noise: {key['nuisance']['noise']}", where, first):
             groups.setdefault(name, []).append(row)
     lines = [f"{'':34} {'alarms':>10} {'coordinate':>12} {'kN left out, before and after':>30} {'worse':>12}"]
     for name, own in [("all", rows), *sorted(groups.items())]:

@@ -556,14 +556,18 @@ def completion(shell: str) -> None:
     click.echo(found(main, {}, "shj-bayes", "_SHJ_BAYES_COMPLETE").source())
 
 
+PROOF_SEED = 73519064  # of the project's own proof
+
+
 @main.command()
 @click.option("-n", "n", type=click.IntRange(1, 9999), default=200, show_default=True, help="Number of trials.")
-@click.option(
-    "--seed", type=click.IntRange(0, 2**32 - 1), default=21401127, show_default=True, help="Of what is concealed."
-)
+@click.option("--seed", type=click.IntRange(0, 2**128 - 1), help=f"Of what is concealed.  [{PROOF_SEED}]")
 @click.option("-o", "--out", type=FOLDER, help="Folder for the results.")
+@click.option("--earlier", is_flag=True, help="Trials of the first kind: Table 1 and a test of several speeds.")
 @click.option("--check", "checked", type=FOLDER, help="Check a finished proof.")
 @click.option("--recordings", type=FOLDER, help="Real recordings, answer withheld.")
+@click.option("--challenge", type=click.IntRange(1, 999), metavar="N", help="Write N devices without truth.")
+@click.option("--score", "sheet", type=click.Path(path_type=Path), help="Score the answers to a challenge.")
 @click.option("--full", is_flag=True, help="Every diagnosis in full: three times as long.")
 @click.option("--open-now", is_flag=True, help="Open a stopped proof and score the trials diagnosed so far.")
 @WORKERS
@@ -572,6 +576,9 @@ def prove(
     out: Path | None,
     checked: Path | None,
     recordings: Path | None,
+    challenge: int | None,
+    sheet: Path | None,
+    seed: int | None,
     workers: int | None,
     output: Output,
     full: bool,
@@ -579,7 +586,8 @@ def prove(
 ) -> None:
     """Prove the diagnosis on concealed effects.
 
-    Trials are sealed, diagnosed behind a fence, opened and scored; or --check of a finished proof.
+    Trials are sealed, diagnosed behind a fence, opened and scored; or --check of a finished proof. A --challenge is for
+    any other tool, or the eye; its --score counts alike.
     """
     how: dict[str, Any] = {"workers": workers or 2, "progress": output.speaks}
     if checked is not None:
@@ -588,8 +596,23 @@ def prove(
         lines = check_proof(checked, **how)
         output.show({"checked": lines}, "\n".join([*lines, "the transcript holds"]))
         return
+    if sheet is not None:
+        from shj_validation.proof.challenge import score_challenge
+
+        scored = score_challenge(sheet, seed, out, progress=output.speaks)
+        output.show(scored.record, scored.text)
+        return
     if out is None:
         raise click.UsageError("Missing option '-o' / '--out'.")
+    if challenge is not None:
+        from shj_validation.proof.challenge import make_challenge
+
+        opening = make_challenge(out, challenge, seed, progress=output.speaks)
+        output.show(
+            {"kit": str(out), "opening": str(opening)},
+            f"kit: {out} (README.txt says how)\nseed: {opening}; keep it, and state it when the answers are in",
+        )
+        return
     if recordings is not None:
         from shj_validation.proof.real import prove_recordings
 
@@ -598,7 +621,7 @@ def prove(
         return
     from shj_validation.proof.run import prove as prove_effects
 
-    proof = prove_effects(out, quick=not full, **trials, **how)
+    proof = prove_effects(out, seed=PROOF_SEED if seed is None else seed, quick=not full, **trials, **how)
     output.show(proof.score, proof.text)
 
 
@@ -648,7 +671,12 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
         "shj-bayes simulate -o made/a --K 18 --Fy 80 --dep 60",
         "shj-bayes simulate -o made/b --beta 100 --dep -60 --ratio 0.7 --rate 10 --seed 7",
     ),
-    "prove": ("shj-bayes prove -n 4 -o proof", "shj-bayes prove -n 40 --seed 7 -o proof"),
+    "prove": (
+        "shj-bayes prove -n 4 -o proof",
+        "shj-bayes prove -n 40 --seed 7 -o proof",
+        "shj-bayes prove --challenge 10 -o kit",
+        "shj-bayes prove --score kit/answers.csv",
+    ),
     "export": ("shj-bayes export spring --to opensees",),
     "plan": (
         "shj-bayes plan results -o next",

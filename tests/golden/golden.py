@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.reader import read
 from shj_validation.proof.answers import CASES
-from shj_validation.proof.cases import development_keys
+from shj_validation.proof.cases import DESIGNS, PROOF_1, development_keys
 from shj_validation.proof.make import make
 
 HERE = Path(__file__).resolve().parent
@@ -142,8 +143,9 @@ def trials(_: Path) -> dict[str, Any]:
     """First looks at development trials."""
     found = {}
     for kind, protocol, effect, n in TRIALS:
-        protocols = {"protocols": (protocol,)} if protocol else {}
-        for key in development_keys(SEED, n, kind, effect=effect, **protocols):
+        usual = DESIGNS[PROOF_1]
+        design = replace(usual, protocols=(protocol,)) if protocol else usual
+        for key in development_keys(SEED, n, kind, effect=effect, design=design):
             runs = [one.recording for one in make(key)]
             found[f"{kind} {protocol or effect or 'drawn'} {key.number}"] = look(runs, key.reversal)
     return found

@@ -10,10 +10,21 @@ import pytest
 
 from shj_bayes.errors import ModelError, ProofError
 from shj_validation.proof import seal
-from shj_validation.proof.cases import KINDS, Key, canonical, development_keys, draw_keys
+from shj_validation.proof.cases import (
+    CHALLENGE,
+    DESIGNS,
+    KINDS,
+    MOST_READINGS,
+    PROOF_1,
+    PROOF_2,
+    Key,
+    canonical,
+    development_keys,
+    draw_keys,
+)
 from shj_validation.proof.make import make
-from shj_validation.proof.noise import TRIAL_NOISES
-from shj_validation.proof.protocols import TRIAL_PROTOCOLS
+from shj_validation.proof.noise import ALL_NOISES
+from shj_validation.proof.protocols import PEAK_SPEED_MM_S, duration
 from shj_validation.proof.run import write_recordings
 from shj_validation.proof.simulators.simulator import simulators_by_id
 
@@ -70,26 +81,50 @@ def test_development_and_proof_have_no_stream_in_common():
     assert not {key.entropy for key in proof} & {key.entropy for key in development}
 
 
-def test_other_protocols_and_noises_are_drawn_for_development_only():
-    how = {"protocols": tuple(TRIAL_PROTOCOLS), "noises": TRIAL_NOISES, "first": True}
-    keys = [key for kind in KINDS for key in development_keys(SEED, 20, kind, **how)]
-    assert {key.protocol for key in keys} == set(TRIAL_PROTOCOLS)
-    assert {key.nuisance.noise for key in keys} == set(TRIAL_NOISES)
+def test_every_protocol_noise_and_rate_is_drawn():
+    keys = draw_keys(SEED, 400, PROOF_2)
+    assert {key.protocol for key in keys} == set(PEAK_SPEED_MM_S)
+    assert {key.nuisance.noise for key in keys} == set(ALL_NOISES)
+    assert {key.rate_Hz for key in keys} == set(DESIGNS[PROOF_2].rates)
     assert min(key.rate_Hz for key in keys if key.nuisance.noise == "with hum") >= 20.0
+    assert max(key.rate_Hz * duration(key.protocol) for key in keys) <= MOST_READINGS
+    assert 0.3 < np.mean([key.machine_kN_mm > 0 for key in keys]) < 0.5
+    assert all(key.reversal == "continuous" for key in keys if key.machine_kN_mm)
+    assert 0.05 < np.mean([key.first_sd != 0 for key in keys]) < 0.15
     assert all(Key.from_dict(key.to_dict()) == key for key in keys)
-    assert development_keys(SEED, 5, "one", **how) == development_keys(SEED, 12, "one", **how)[:5]
+    null = Counter(key.protocol for key in keys if key.kind == "nothing")
+    assert max(null.values()) - min(null.values()) <= 1
+
+
+def test_a_challenge_needs_no_reversal_rule():
+    keys = draw_keys(SEED, 60, CHALLENGE)
+    assert {key.reversal for key in keys} == {"continuous"}
+    assert max(key.rate_Hz for key in keys) <= 20.0
+
+
+def test_development_draws_from_the_same_design():
+    how = {"design": DESIGNS[PROOF_2], "first": True}
+    keys = development_keys(SEED, 12, "one", **how)
+    assert keys[:5] == development_keys(SEED, 5, "one", **how)
     one = replace(keys[0], rate_Hz=5.0)
     off = make(one)[0].noise_kN[0] - make(replace(one, first_sd=0.0))[0].noise_kN[0]
     assert off == pytest.approx(one.first_sd * one.nuisance.noise_kN, abs=one.nuisance.force_step_kN)
 
 
-def test_what_is_sealed_does_not_change():
+@pytest.mark.parametrize(
+    ("schema", "digest"),
+    [
+        (PROOF_1, "c9c80fd533f309ddfecea3224c733fbf0b162b40cd75f7fcd50b961207198817"),
+        (PROOF_2, "59a2c13fae9b7102e1712156a888b5c08be2c3efffbf7ad315eb17087331d09f"),
+        (CHALLENGE, "cf827738ddc609e60afb426fa15ebe3b5b5a0f1ee8fc5db09876b700018c463b"),
+    ],
+)
+def test_what_is_sealed_does_not_change(schema, digest):
     """A proof of an old seed is made again to the byte."""
-    digest = hashlib.sha256()
-    keys = draw_keys(SEED, 12)
-    for key in keys:
-        digest.update(canonical(key.to_dict()))
-    assert digest.hexdigest() == "c9c80fd533f309ddfecea3224c733fbf0b162b40cd75f7fcd50b961207198817"
+    own = hashlib.sha256()
+    for key in draw_keys(SEED, 12, schema):
+        own.update(canonical(key.to_dict()))
+    assert own.hexdigest() == digest
 
 
 def test_a_key_survives_its_text():
@@ -122,11 +157,22 @@ def test_the_secret_is_for_this_user_and_for_one_seed(tmp_path):
         seal.write_secret(tmp_path, SEED, 6)
 
 
+def test_a_proof_of_another_kind_is_refused_with_what_is_known(tmp_path):
+    seal.write_secret(tmp_path, SEED, 2, PROOF_1)
+    with pytest.raises(ProofError, match="unfinished proof of 2 trials, seed 31 --earlier; give"):
+        seal.write_secret(tmp_path, SEED, 2)
+    assert [key.protocol in ("paper", "improved") for key in seal.open_seal(tmp_path)] == [True, True]
+    text = (tmp_path / seal.OPENED).read_text(encoding="utf-8")
+    (tmp_path / seal.OPENED).write_text(text.replace("proof/1", "proof/9"), encoding="utf-8")
+    with pytest.raises(ProofError, match=r"is of schema 'shj-bayes/proof/9'; known are shj-bayes/proof/1, "):
+        seal.read_opened(tmp_path)
+
+
 def test_opening_publishes_what_was_sealed(tmp_path):
     secret = seal.write_secret(tmp_path, SEED, 3)
     keys = seal.open_seal(tmp_path)
-    seed, again, nonces = seal.read_opened(tmp_path)
-    assert (seed, again, nonces) == (SEED, keys, secret["nonces"])
+    opened = seal.read_opened(tmp_path)
+    assert opened == seal.Opened(PROOF_2, SEED, keys, secret["nonces"])
     assert not (tmp_path / seal.SECRET).exists()
 
 

@@ -12,7 +12,7 @@ from shj_bayes.cli import main
 from shj_bayes.errors import ProofError
 from shj_validation.proof import pool, run, seal
 from shj_validation.proof.blind import diagnose_blind
-from shj_validation.proof.cases import draw_keys
+from shj_validation.proof.cases import PROOF_2, draw_keys
 from shj_validation.proof.check import check
 from shj_validation.proof.run import prove, write_recordings
 
@@ -38,7 +38,7 @@ def scores():
 @pytest.fixture(scope="module")
 def answer(tmp_path_factory):
     """One real diagnosis, given to every trial: what is tested here is the bookkeeping."""
-    paths = write_recordings(draw_keys(SEED, N)[0], tmp_path_factory.mktemp("one"))
+    paths = write_recordings(draw_keys(SEED, N, PROOF_2)[0], tmp_path_factory.mktemp("one"))
     return json.loads(json.dumps(diagnose_blind(paths, intervals=False)))
 
 
@@ -60,7 +60,8 @@ def canned(answer, monkeypatch):
 def whole(answer, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pool, "in_parallel", lambda tasks, workers, done: [done(task, answer) for task in tasks])
-        return prove(tmp_path_factory.mktemp("whole") / "proof", n=N, seed=SEED, workers=1).page.parent
+        folder = tmp_path_factory.mktemp("whole") / "proof"
+        return prove(folder, n=N, seed=SEED, workers=1, earlier=True).page.parent
 
 
 @pytest.fixture

@@ -233,6 +233,7 @@ def test_targets_are_met_and_missed_as_counted():
         "family_holds": None,
         "stated": [],
         "heldout": held,
+        "coordinates": [],
     }
     quiet = base | {"number": 1, "kind": "nothing", "truth": [], "detectable": False, "verdict": "adequate"}
     named = base | {
@@ -260,8 +261,10 @@ def test_targets_are_met_and_missed_as_counted():
     rows += [quiet | {"outcome": "false alarm", "coverage": covered, "verdict": "named"} for _ in range(6)]
     wrong = named | {"outcome": "wrong", "coverage": covered, "found": ["drift"], "coordinate_right": False}
     rows += [wrong | {"stated": [{"of": "coordinate", "probability": 0.94, "true": False}]} for _ in range(25)]
-    by_rate = summarise(rows)["false_alarms"]["by_rate"]
-    assert {word: (one["hits"], one["n"]) for word, one in by_rate.items()} == {"20 Hz": (6, 86)}
+    (by_rate,) = summarise(rows)["settings"]["rate_Hz"].items()
+    assert by_rate[0] == "20 Hz"
+    assert (by_rate[1]["alarms"]["hits"], by_rate[1]["alarms"]["n"]) == (6, 86)
+    assert (by_rate[1]["coordinate"]["hits"], by_rate[1]["told"]) == (20, "cannot be told as often as aimed at")
     bad = {t["words"]: t["verdict"] for t in summarise(rows)["targets"]}
     assert bad["false alarms, of devices with nothing concealed"] == "NOT MET"
     assert bad["upper 95 % limit of that rate"] == "NOT MET"

@@ -11,19 +11,20 @@ import numpy as np
 
 from shj_bayes.errors import ModelError
 from shj_validation.proof.device import Device, Nuisance
-from shj_validation.proof.noise import HUM, MEMORIES_S, NOISES
-from shj_validation.proof.protocols import PEAK_SPEED_MM_S, TRIAL_PROTOCOLS, peak_speed
+from shj_validation.proof.noise import ALL_NOISES, HUM, MEMORIES_S, NOISES
+from shj_validation.proof.protocols import EARLIER, PEAK_SPEED_MM_S, duration, peak_speed
 from shj_validation.proof.simulators.rig import RULES
 from shj_validation.proof.simulators.simulator import Simulator, simulators_by_id
 
 # Shares of the trials; half hold nothing: false alarms are rare, and counted on these.
 NOTHING, OUTSIDE, TWO = 0.50, 0.15, 0.15
-# Sampling rate in Hz, and the share of the trials that are recorded at it; the fast one costs the most time.
-RATES = {5.0: 0.40, 20.0: 0.45, 200.0: 0.15}
 KINDS = ("nothing", "one", "two", "outside")
 DEVELOPMENT = 1_000_000_007  # apart from the streams of every proof, whatever its number of trials
-FIRST_SD = 3.0  # that a first reading is off in development trials that ask for it
+FIRST_SD = 3.0  # that a first reading is off where it is
 HUM_HZ = 20.0  # least rate of a trial with hum: at 5 Hz 50 Hz is a slow wave, which a diagnosis rightly finds
+MOST_READINGS = 250_000
+SLIDES_MM = 14.0  # elastic part of a stroke: the smallest block must slide, or nearly so
+SOFT = (2.0, 15.0)  # stiffness of a testing machine, times that of the device
 LARGEST_SPEED_FACTOR = 0.35  # of Fy by speed alone: the published rows reach a third at 10 mm/s
 SMALL = 0.01  # of Fy: nuisances make less force than that
 # Physics that cannot be put into one rig (one spring, one second contact) or that only names the same thing twice.
@@ -47,6 +48,56 @@ class Concealed:
     id: str
     size: float
     shape: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Design:
+    """What the trials of a proof are drawn from.
+
+    Parameters
+    ----------
+    protocols, noises, rules : sequence of str
+        Displacement histories, kinds of force noise, reversal rules.
+    rates : dict of float to float
+        Sampling rate in Hz, and the share of the trials that are recorded at it.
+    machine, first_off : float
+        Shares of the trials whose displacement is measured at the machine, and whose first force reading is off.
+    most_readings : int, optional
+        Of a run: a longer test is recorded at a lower rate; and one with hum at `HUM_HZ` or more.
+    """
+
+    protocols: Sequence[str]
+    noises: Sequence[str]
+    rates: dict[float, float]
+    machine: float = 0.0
+    first_off: float = 0.0
+    rules: Sequence[str] = RULES
+    most_readings: int | None = None
+
+
+# By schema of what is sealed. The first kind is kept so that its proofs can be made and checked for ever.
+DESIGNS = {
+    "shj-bayes/proof/1": Design(EARLIER, NOISES, {5.0: 0.40, 20.0: 0.45, 200.0: 0.15}),
+    "shj-bayes/proof/2": Design(
+        tuple(PEAK_SPEED_MM_S),
+        ALL_NOISES,
+        {5.0: 0.20, 10.0: 0.15, 20.0: 0.25, 50.0: 0.15, 100.0: 0.10, 250.0: 0.05, 1000.0: 0.10},
+        machine=0.4,
+        first_off=0.1,
+        most_readings=MOST_READINGS,
+    ),
+    # To be looked at by eye and in spreadsheets: few readings, and no reversal rule to be told.
+    "shj-bayes/challenge/1": Design(
+        tuple(PEAK_SPEED_MM_S),
+        ALL_NOISES,
+        {5.0: 0.6, 10.0: 0.3, 20.0: 0.1},
+        machine=0.4,
+        first_off=0.1,
+        rules=("continuous",),
+        most_readings=MOST_READINGS,
+    ),
+}
+PROOF_1, PROOF_2, CHALLENGE = DESIGNS
 
 
 @dataclass(frozen=True)
@@ -74,7 +125,9 @@ class Key:
     entropy : int
         Where the noise of this trial starts from.
     first_sd : float
-        What is added to the first force reading of each run, in standard deviations of the noise; 0 in every proof.
+        What is added to the first force reading of each run, in standard deviations of the noise.
+    machine_kN_mm : float
+        Stiffness of the testing machine where displacement is measured at it; 0 where it is measured across the slip.
     """
 
     number: int
@@ -87,13 +140,12 @@ class Key:
     reversal: str
     entropy: int
     first_sd: float = 0.0
+    machine_kN_mm: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, as they are sealed; a first reading that is like the others is not stated."""
+        """Plain values, as they are sealed; what came later is stated only where it is not 0."""
         plain = asdict(self)
-        if not self.first_sd:
-            del plain["first_sd"]
-        return plain
+        return {k: v for k, v in plain.items() if v or k not in ("first_sd", "machine_kN_mm")}
 
     @classmethod
     def from_dict(cls, plain: dict[str, Any]) -> Key:
@@ -109,12 +161,13 @@ def canonical(plain: dict[str, Any]) -> bytes:
     return json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False).encode("ascii")
 
 
-def draw_keys(seed: int, n: int) -> list[Key]:
+def draw_keys(seed: int, n: int, schema: str = PROOF_1) -> list[Key]:
     """Draw the keys of all trials from one seed.
 
     The kinds are dealt like cards, so that their shares are as stated whatever the seed; the effects are dealt within
-    their kind for the same reason, and the forms within their effect. Trial i draws the rest from its own stream: more
-    trials leave the first ones alike in their streams, but not in what is dealt.
+    their kind for the same reason, the forms within their effect, and protocols within their kind (in the first kind of
+    proof they are drawn). Trial i draws the rest from its own stream: more trials leave the first ones alike in their
+    streams, but not in what is dealt.
 
     Parameters
     ----------
@@ -122,6 +175,8 @@ def draw_keys(seed: int, n: int) -> list[Key]:
         Of the proof.
     n : int
         Number of trials.
+    schema : str
+        One of `DESIGNS`.
 
     Returns
     -------
@@ -129,15 +184,22 @@ def draw_keys(seed: int, n: int) -> list[Key]:
     """
     if n < 1:
         raise ModelError(f"{n} trials asked for; allowed is 1 or more")
+    design = DESIGNS[schema]
     root = np.random.SeedSequence(seed)
     deal, *streams = root.spawn(n + 1)
     dealer = np.random.default_rng(deal)
     kinds = _kinds(n, dealer)
     hand = _Hand(dealer)
-    return [
-        _draw(number, kind, hand.next(kind), np.random.default_rng(stream))
-        for number, (kind, stream) in enumerate(zip(kinds, streams, strict=True), start=1)
-    ]
+    decks = {} if schema == PROOF_1 else {kind: _Deck(design.protocols, dealer) for kind in KINDS}
+    keys = []
+    for number, (kind, stream) in enumerate(zip(kinds, streams, strict=True), start=1):
+        chosen, protocols = hand.next(kind), design.protocols
+        if decks:
+            protocols = [decks[kind].next()]
+            while not _allowed(protocols, chosen):
+                protocols = [decks[kind].next()]
+        keys.append(_draw(number, kind, chosen, np.random.default_rng(stream), replace(design, protocols=protocols)))
+    return keys
 
 
 def development_keys(
@@ -147,8 +209,7 @@ def development_keys(
     *,
     effect: str | None = None,
     rate_Hz: float | None = None,
-    protocols: Sequence[str] = tuple(PEAK_SPEED_MM_S),
-    noises: Sequence[str] = NOISES,
+    design: Design = DESIGNS[PROOF_1],
     first: bool = False,
 ) -> list[Key]:
     """Draw keys of one kind for development, from streams that no proof uses; trial i is the same whatever `n` is.
@@ -165,8 +226,8 @@ def development_keys(
         Effect of the catalogue (its forms in turn), or one simulator, that each trial holds.
     rate_Hz : float, optional
         In place of the drawn sampling rate.
-    protocols, noises : sequence of str
-        What is drawn from for each trial, in place of what a proof draws from.
+    design : Design
+        What is drawn from for each trial.
     first : bool
         Whether the first force reading of each run is off by `FIRST_SD`.
 
@@ -188,10 +249,10 @@ def development_keys(
     hand = _Hand(np.random.default_rng(stream(place, 0)), forms)
     out = []
     for i in range(1, n + 1):
-        key = _draw(i, kind, hand.next(kind), np.random.default_rng(stream(place, i)), protocols, noises)
+        key = _draw(i, kind, hand.next(kind), np.random.default_rng(stream(place, i)), design)
         drawn = max(key.rate_Hz, HUM_HZ) if key.nuisance.noise == HUM else key.rate_Hz
         sign = 1.0 if key.entropy % 2 else -1.0
-        out.append(replace(key, rate_Hz=rate_Hz or drawn, first_sd=sign * FIRST_SD if first else 0.0))
+        out.append(replace(key, rate_Hz=rate_Hz or drawn, first_sd=sign * FIRST_SD if first else key.first_sd))
     return out
 
 
@@ -215,7 +276,7 @@ def stated_key(
         In its unit.
     seed : int
         Of everything else.
-    protocol : {"paper", "improved"}
+    protocol : str
         Displacement regime.
     rate_Hz : float
         Sampling rate, Hz.
@@ -290,16 +351,14 @@ def _kinds(n: int, rng: np.random.Generator) -> list[str]:
     return [kinds[i] for i in rng.permutation(n)]
 
 
-def _draw(
-    number: int,
-    kind: str,
-    chosen: list[Simulator],
-    rng: np.random.Generator,
-    protocols: Sequence[str] = tuple(PEAK_SPEED_MM_S),
-    noises: Sequence[str] = NOISES,
-) -> Key:
+def _allowed(protocols: Sequence[str], chosen: list[Simulator]) -> list[str]:
+    """Protocols in which what is concealed can show at all; of the later ones every one is tried."""
+    return [p for p in protocols if p not in EARLIER or all(p in one.protocols for one in chosen)]
+
+
+def _draw(number: int, kind: str, chosen: list[Simulator], rng: np.random.Generator, design: Design) -> Key:
     """Device, sizes, nuisances, protocol, rate and reversal rule of one trial."""
-    allowed = [p for p in protocols if p in TRIAL_PROTOCOLS or all(p in one.protocols for one in chosen)]
+    allowed = _allowed(design.protocols, chosen)
     protocol = allowed[int(rng.integers(len(allowed)))]
     device = _device(rng, peak_speed(protocol))
     effects = tuple(
@@ -310,18 +369,38 @@ def _draw(
         )
         for one in chosen
     )
-    nuisance = _nuisance(rng, device, protocol, noises)
-    rate = float(rng.choice(list(RATES), p=list(RATES.values())))
-    rules = [rule for rule in RULES if all(rule in one.rules for one in chosen)]
+    nuisance = _nuisance(rng, device, protocol, design.noises)
+    rate = _rate(rng, design, protocol, nuisance.noise)
+    rules = [rule for rule in design.rules if all(rule in one.rules for one in chosen)]
     rule = rules[int(rng.integers(len(rules)))]
-    return Key(number, kind, effects, device, nuisance, protocol, rate, rule, int(rng.integers(2**62)))
+    key = Key(number, kind, effects, device, nuisance, protocol, rate, rule, int(rng.integers(2**62)))
+    if design.first_off and rng.random() < design.first_off:
+        key = replace(key, first_sd=float(rng.choice([-1.0, 1.0])) * FIRST_SD)
+    if design.machine and rng.random() < design.machine:
+        # A spring in series springs back at the jump of the published rule, which is a reversal again: see rig.py.
+        # While the device sticks it moves slower than the machine by K/machine: a law of speed must not show that, as
+        # K does not take it up.
+        soft = float(np.exp(rng.uniform(*np.log(SOFT)))) * device.K
+        slides = 1.0 / (SLIDES_MM / (2 * device.Fy) - 1.0 / device.K)
+        slow = device.K * (abs(device.gamma) * peak_speed(protocol) / (0.7 * SMALL) - 1.0)
+        key = replace(key, machine_kN_mm=max(soft, slides, slow), reversal="continuous")
+    return key
+
+
+def _rate(rng: np.random.Generator, design: Design, protocol: str, noise: str) -> float:
+    """Draw a sampling rate, Hz: not too many readings, and enough of them to show hum as hum."""
+    if design.most_readings is None:
+        return float(rng.choice(list(design.rates), p=list(design.rates.values())))
+    least, most = HUM_HZ if noise == HUM else 0.0, design.most_readings / duration(protocol)
+    rates = {hz: share for hz, share in design.rates.items() if least <= hz <= most}
+    return float(rng.choice(list(rates), p=np.array(list(rates.values())) / sum(rates.values())))
 
 
 def _device(rng: np.random.Generator, peak_speed: float) -> Device:
     """Within the range of the published Tables 3 to 7; the smallest block must slide, or nearly so."""
     while True:
         K, Fy = np.exp(rng.uniform(*np.log([6.0, 22.0]))), np.exp(rng.uniform(*np.log([22.0, 95.0])))
-        if 2 * Fy / K < 14.0:
+        if 2 * Fy / K < SLIDES_MM:
             break
     bound = min(1 / 30, LARGEST_SPEED_FACTOR / peak_speed)
     gamma = float(rng.choice([0.0, 1.0, -1.0])) * float(np.exp(rng.uniform(np.log(bound / 5), np.log(bound))))

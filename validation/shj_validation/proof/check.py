@@ -37,16 +37,17 @@ def check(folder: Path, *, workers: int = 2, progress: bool = False) -> list[str
     ProofError
         At the first thing that does not agree.
     """
-    seed, keys, nonces = seal.read_opened(folder)
+    opened = seal.read_opened(folder)
+    keys = opened.keys
     if missing := [name for name in ("recordings", "diagnoses") if not (folder / name).is_dir()]:
         raise ProofError(
             f"{folder.name} lacks {' and '.join(missing)}; a check needs all that a proof wrote. "
-            f"`shj-bayes prove -n {len(keys)} --seed {seed} -o DIR` writes it anew"
+            f"`shj-bayes prove -n {len(keys)} --seed {opened.seed}{seal.words_of(opened.schema)} -o DIR` writes it anew"
         )
     sealed, transcript = (read_json(folder / name, ProofError) for name in (seal.COMMITMENT, TRANSCRIPT))
     if seal.sha256(folder / seal.COMMITMENT) != transcript["commitment_sha256"]:
         raise ProofError(f"{seal.COMMITMENT} is not the one under which the diagnosis ran")
-    _keys(sealed["trials"], seed, keys, nonces)
+    _keys(sealed["trials"], opened)
     n_files = _recordings(folder, sealed, keys, progress)
     n = len(transcript["diagnoses"])
     _diagnoses(folder, transcript, min(n, len(keys)))
@@ -55,20 +56,21 @@ def check(folder: Path, *, workers: int = 2, progress: bool = False) -> list[str
     if recorded["trials"] != rows or recorded["targets"] != json.loads(json.dumps(summarise(rows)))["targets"]:
         raise ProofError(f"{SCORE} is not what keys and diagnoses give")
     return [
-        f"{len(keys)} keys follow from seed {seed} and are those that were sealed before the diagnosis",
+        f"{len(keys)} keys follow from seed {opened.seed} and are those that were sealed before the diagnosis",
         f"{n_files} recordings made again from the keys, the same to the byte",
         f"{n} diagnoses, of the first trials, are those made before the keys were opened",
         "all scores follow from keys and diagnoses",
     ]
 
 
-def _keys(trials: list[dict[str, Any]], seed: int, keys: list[Key], nonces: list[str]) -> None:
+def _keys(trials: list[dict[str, Any]], opened: seal.Opened) -> None:
     """Check that the opened keys follow from the seed and are those that were sealed."""
+    keys, seed = opened.keys, opened.seed
     if len(trials) != len(keys):
         raise ProofError(f"{len(trials)} keys were sealed, {len(keys)} are opened")
-    if [key.to_dict() for key in draw_keys(seed, len(keys))] != [key.to_dict() for key in keys]:
+    if [key.to_dict() for key in draw_keys(seed, len(keys), opened.schema)] != [key.to_dict() for key in keys]:
         raise ProofError(f"the opened keys do not follow from seed {seed}")
-    for trial, key, nonce in zip(trials, keys, nonces, strict=True):
+    for trial, key, nonce in zip(trials, keys, opened.nonces, strict=True):
         if seal.digest_of(key, nonce) != trial["key_sha256"]:
             raise ProofError(f"trial {trial['name']}: the opened key is not the one that was sealed")
 

@@ -8,7 +8,7 @@ from shj_bayes.model.parameters import FloatArray
 
 NOISES = ("white", "ar1", "white and slow", "more at low speed", "slow drift", "rounded")
 HUM, WITH_FORCE = "with hum", "growing with the force"
-TRIAL_NOISES = ("white", "rounded", HUM, WITH_FORCE)  # of development trials of their own; no proof draws the last two
+ALL_NOISES = (*NOISES, HUM, WITH_FORCE)  # the earlier kind of proof draws the first six
 MEMORIES_S = (1.0, 3.0, 30.0)  # of the slow part of "white and slow"
 MAINS_HZ, WANDERS_HZ, WANDERS_S = 50.0, 0.02, 100.0  # frequency, its standard deviation and memory
 SHORT_S, LONG_S = 0.3, 150.0  # memory of an amplifier's filter, and of a load cell in the draught
@@ -28,7 +28,7 @@ def force_noise(
     Parameters
     ----------
     kind : str
-        One of `NOISES` or `TRIAL_NOISES`; what "rounded" is rounded to is a property of the recorder.
+        One of `ALL_NOISES`; what "rounded" is rounded to is a property of the recorder.
     speed_mm_s : array, shape (n,)
         Speed at each sample, mm/s.
     dt_s : float
@@ -68,9 +68,7 @@ def force_noise(
         series = white * (0.3 + np.abs(force_kN) / max(np.abs(force_kN).max(), 1e-9))
         series = series / np.sqrt(np.mean(series**2))
     else:
-        raise ModelError(
-            f"noise '{kind}' is not known; choose one of {', '.join(dict.fromkeys((*NOISES, *TRIAL_NOISES)))}"
-        )
+        raise ModelError(f"noise '{kind}' is not known; choose one of {', '.join(ALL_NOISES)}")
     return np.asarray(sd_kN * series)
 
 

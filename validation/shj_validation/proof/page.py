@@ -21,6 +21,8 @@ COLUMNS = (
     "sizes",
     "protocol",
     "rate_Hz",
+    "machine_share",
+    "first_sd",
     "reversal",
     "noise",
     "noise_share",

@@ -13,6 +13,7 @@ from shj_bayes.report.page import Picture
 from shj_validation.canvas import WIDE, label, legend, sheet, svg
 from shj_validation.proof.answers import Band
 
+MOST_DOTS = 400  # of a picture: a page is kept small
 HELD_OUT = 1.5  # the aim for 90 % of the trials
 
 
@@ -157,13 +158,14 @@ def clamping(band: Band, diagnosed: Mapping[str, tuple[FloatArray, FloatArray]])
     axes.axvspan(band.begin_s, band.end_s, color=INK, alpha=0.06, linewidth=0)
     for side, colour in (("push", BLUE), ("pull", RED)):
         at, change = band.change[side]
-        few = slice(None, None, max(at.size // 1500, 1))
+        few = slice(None, None, max(at.size // MOST_DOTS, 1))
         axes.scatter(at[few], 100 * change[few], s=5, color=colour, alpha=0.5, linewidths=0, label=f"{side}, measured")
         if side in diagnosed:
             at, change = diagnosed[side]
             waits = np.append(False, np.diff(at) > 10.0 * np.median(np.diff(at)))  # while the other end pulls
             drawn = np.where(waits, np.nan, 100 * change)
-            axes.plot(at, drawn, color=colour, linewidth=1.8, label=f"{side}, diagnosed")
+            kept = waits | (np.arange(at.size) % max(at.size // MOST_DOTS, 1) == 0)
+            axes.plot(at[kept], drawn[kept], color=colour, linewidth=1.8, label=f"{side}, diagnosed")
     legend(axes, 4)
     label(axes, "time (s)", "change (%)")
     return Picture(

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import takewhile
@@ -16,7 +17,7 @@ from shj_bayes.errors import ProofError
 from shj_bayes.inference.store import versions
 from shj_bayes.recording.recording import write_csv
 from shj_validation.proof import seal
-from shj_validation.proof.cases import Key, draw_keys
+from shj_validation.proof.cases import PROOF_1, PROOF_2, Key, draw_keys
 from shj_validation.proof.make import make
 from shj_validation.proof.page import render
 from shj_validation.proof.pool import diagnose_rest, unanswered
@@ -57,6 +58,7 @@ def prove(
     workers: int = 2,
     quick: bool = True,
     open_now: bool = False,
+    earlier: bool = False,
     progress: bool = False,
 ) -> Proof:
     """Run (or go on with) a proof.
@@ -75,6 +77,8 @@ def prove(
         Whether the search uses fewer samples, and only the posterior of what was found is sampled.
     open_now : bool
         Whether to open a proof that was stopped, with the trials that are diagnosed without a gap from the first on.
+    earlier : bool
+        Whether to make the earlier kind of proof: Table 1 and a test of several speeds only.
     progress : bool
         Show progress bars.
 
@@ -88,26 +92,22 @@ def prove(
         If the folder holds another proof, or one without a diagnosis that is to be opened.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    schema = PROOF_1 if earlier else PROOF_2
     if not (folder / seal.OPENED).exists():
-        secret = seal.write_secret(folder, seed, n)
-        keys = draw_keys(seed, n)
-        _commit(folder, keys, secret["nonces"], progress)
+        secret = seal.write_secret(folder, seed, n, schema)
+        keys = draw_keys(seed, n, schema)
+        _commit(folder, keys, secret, progress)
         if not open_now:
             _diagnose(folder, keys, workers, quick, progress)
         _transcribe(folder, n)
-        keys = seal.open_seal(folder)
-    else:
-        opened_seed, keys, _ = seal.read_opened(folder)
-        if (opened_seed, len(keys)) != (seed, n):
-            raise ProofError(
-                f"{folder.name} holds a finished proof of {len(keys)} trials, seed {opened_seed}; choose another folder"
-            )
-    return score(folder, keys, opened_seed_of(folder), workers, progress)
-
-
-def opened_seed_of(folder: Path) -> int:
-    """Seed of an opened proof."""
-    return seal.read_opened(folder)[0]
+        seal.open_seal(folder)
+    opened = seal.read_opened(folder)
+    if (opened.seed, len(opened.keys), opened.schema) != (seed, n, schema):
+        raise ProofError(
+            f"{folder.name} holds a finished proof of {len(opened.keys)} trials, seed {opened.seed}"
+            f"{seal.words_of(opened.schema)}; choose another folder"
+        )
+    return score(folder, opened, workers, progress)
 
 
 def names(n: int) -> list[str]:
@@ -115,16 +115,16 @@ def names(n: int) -> list[str]:
     return [f"{number:04d}" for number in range(1, n + 1)]
 
 
-def score(folder: Path, keys: list[Key], seed: int, workers: int, progress: bool) -> Proof:
+def score(folder: Path, opened: seal.Opened, workers: int, progress: bool) -> Proof:
     """Score an opened proof and write page, table and JSON."""
     n = diagnosed(folder)
-    rows = score_rows(folder, keys[:n], workers, progress)
+    rows = score_rows(folder, opened.keys[:n], workers, progress)
     commitment = read_json(folder / seal.COMMITMENT, ProofError)
     result = summarise(rows) | {
-        "schema": seal.SCHEMA,
-        "seed": seed,
+        "schema": opened.schema,
+        "seed": opened.seed,
         "n": n,
-        "sealed": len(keys),
+        "sealed": len(opened.keys),
         "commitment_sha256": seal.sha256(folder / seal.COMMITMENT),
         "transcript_sha256": seal.sha256(folder / TRANSCRIPT),
         "committed": commitment["made"],
@@ -170,9 +170,9 @@ def write_recordings(key: Key, folder: Path) -> list[Path]:
     return [write_csv(folder / one.recording.source.name, one.recording) for one in make(key)]
 
 
-def _commit(folder: Path, keys: list[Key], nonces: list[str], progress: bool) -> None:
+def _commit(folder: Path, keys: list[Key], secret: Mapping[str, Any], progress: bool) -> None:
     """Write the recordings, and the digests of recordings and keys; nothing is diagnosed before this stands."""
-    path = folder / seal.COMMITMENT
+    path, nonces = folder / seal.COMMITMENT, secret["nonces"]
     if path.exists():
         recorded = [trial["key_sha256"] for trial in read_json(path, ProofError)["trials"]]
         if recorded != [seal.digest_of(key, nonce) for key, nonce in zip(keys, nonces, strict=True)]:
@@ -195,7 +195,7 @@ def _commit(folder: Path, keys: list[Key], nonces: list[str], progress: bool) ->
             }
         )
     record = {
-        "schema": seal.SCHEMA,
+        "schema": secret["schema"],
         "made": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": _git_commit(),
         "versions": versions(),
@@ -235,7 +235,7 @@ def _transcribe(folder: Path, n: int) -> None:
     if not done:
         raise ProofError(f"nothing in {folder.name} is diagnosed yet: there is nothing to open")
     record = {
-        "schema": seal.SCHEMA,
+        "schema": read_json(folder / seal.COMMITMENT, ProofError)["schema"],
         "commitment_sha256": seal.sha256(folder / seal.COMMITMENT),
         "finished": datetime.now(UTC).isoformat(timespec="seconds"),
         "diagnoses": [{"name": name, "sha256": seal.sha256(folder / "diagnoses" / f"{name}.json")} for name in done],

@@ -18,6 +18,7 @@ from shj_validation.proof.simulators.simulator import simulators_by_id
 from shj_validation.proof.truth import Truth, effect_truths, kept_base, truth_of
 
 LIKELY = 0.5  # a coordinate that is more likely there than not is claimed
+FRAME, FRAME_PAIR = "frame_compliance", ("motion", "compliance")  # true of what is measured at the machine
 EITHER = 2  # sets of coordinates between which an answer may leave open which is the true one
 SHORT_LIST = 4  # ids for each concealed effect; a longer list holds the truth as a telephone book does
 Z90 = 1.6449  # half width of a 90 % interval of a normal law, in standard deviations
@@ -40,6 +41,7 @@ def score_trial(key: Key, record: Mapping[str, Any]) -> dict[str, Any]:
     """
     made = make(key, heldout=True)
     truth = truth_of(key, made[:2])
+    record = but_for_the_machine(record) if key.machine_kN_mm else record
     row: dict[str, Any] = {
         "number": key.number,
         "kind": key.kind,
@@ -57,6 +59,10 @@ def score_trial(key: Key, record: Mapping[str, Any]) -> dict[str, Any]:
         "detectable": truth.detectable,
         "each": {name: list(pair) for name, pair in truth.each.items()},
     }
+    if key.machine_kN_mm:
+        row["machine_share"] = key.device.K / key.machine_kN_mm
+    if key.first_sd:
+        row["first_sd"] = key.first_sd
     if "error" in record:
         return row | {"verdict": "failed", "outcome": "failed", "found": [], "why": record["error"]}
     row |= {
@@ -77,6 +83,19 @@ def score_trial(key: Key, record: Mapping[str, Any]) -> dict[str, Any]:
     row["coverage"] = coverage(key, record, truth)
     row["heldout"] = heldout(key, record, made)
     return row
+
+
+def but_for_the_machine(record: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Take a machine's stretch off an answer: true where displacement is measured there, and nothing that K misses.
+
+    An answer that names nothing else has found nothing of what is concealed.
+    """
+    if not any(effect["id"] == FRAME for effect in record.get("effects", [])):
+        return record
+    effects = [effect for effect in record["effects"] if effect["id"] != FRAME]
+    places = [e for e in record.get("coordinates", []) if (e["action"], e["coordinate"]) != FRAME_PAIR]
+    verdict = record["verdict"] if effects or record["verdict"] == "unknown" else "adequate"
+    return {**record, "effects": effects, "coordinates": places, "verdict": verdict}
 
 
 def outcome(key: Key, record: Mapping[str, Any], required: set[str] | None = None) -> str:

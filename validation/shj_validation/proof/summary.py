@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.model.effects.catalogue import catalogue
-from shj_validation.proof.score import half_size, rate
+from shj_validation.proof.score import LIKELY, half_size, rate
+from shj_validation.proof.simulators.simulator import simulators_by_id
 
 # Written down before the proof was run; see docs/decisions/0007-proof.md.
 FALSE_ALARMS, FALSE_ALARMS_LIMIT = 0.03, 0.05
@@ -17,6 +18,8 @@ WRONG_OUTSIDE, COORDINATE_OUTSIDE = 0.03, 0.80
 HELD_OUT, HELD_OUT_90 = 1.1, 1.5  # times the noise floor: in the middle, and in 90 % of the trials
 COVERAGE = (0.85, 0.95)
 CALIBRATION, IN_BIN = 0.05, 20  # stated and observed may differ by this in every bin that holds as many
+FEWEST, TOLD = 10, 0.8  # trials below which nothing is said; lower limit from which a coordinate can be told
+SETTINGS = ("protocol", "displacement", "rate_Hz", "noise", "first reading", "reversal")
 BINS = (0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.0)
 RIGHT_OUTCOMES = ("right", "right family")
 Row = dict[str, Any]
@@ -34,7 +37,7 @@ def summarise(rows: Sequence[Row]) -> dict[str, Any]:
     -------
     dict
         ``targets`` (words, value, aim, verdict), ``false_alarms``, ``power``, ``confusion``, ``outcomes``,
-        ``coordinates``, ``reliability``, ``family_holds``, ``adequate``, ``coverage``, ``heldout``.
+        ``settings``, ``coordinates``, ``reliability``, ``family_holds``, ``adequate``, ``coverage``, ``heldout``.
     """
     done = [row for row in rows if row["outcome"] != "failed"]
     null = [row for row in done if row["kind"] == "nothing"]
@@ -47,13 +50,7 @@ def summarise(rows: Sequence[Row]) -> dict[str, Any]:
     foreign = [row for row in outside if row["detectable"]]
     summary: dict[str, Any] = {
         "failed": [row["number"] for row in rows if row["outcome"] == "failed"],
-        "false_alarms": alarms
-        | {
-            "by_noise": _by(null, "noise", lambda r: r["outcome"] == "false alarm"),
-            "by_protocol": _by(null, "protocol", lambda r: r["outcome"] == "false alarm"),
-            "by_rate": _by(null, "rate_Hz", lambda r: r["outcome"] == "false alarm"),
-            "by_reversal": _by(null, "reversal", lambda r: r["outcome"] == "false alarm"),
-        },
+        "false_alarms": alarms,
         "detected": rate(sum(row["verdict"] != "adequate" for row in seen), len(seen)),
         "right": right,
         "right_single": rate(sum(row["outcome"] in RIGHT_OUTCOMES for row in single), len(single)),
@@ -84,6 +81,7 @@ def summarise(rows: Sequence[Row]) -> dict[str, Any]:
         "confusion": _confusion([row for row in inside if row["kind"] == "one" and row["detectable"]]),
         "coverage": _coverage(done),
         "heldout": _heldout(seen, null),
+        "settings": {name: {word: _setting(own) for word, own in _groups(done, name).items()} for name in SETTINGS},
     }
     summary["targets"] = _targets(summary)
     return summary
@@ -94,12 +92,56 @@ def _word(row: Row) -> str:
     return row["outcome"] if row["detectable"] or row["kind"] == "nothing" else f"{row['outcome']} (too small to see)"
 
 
-def _by(rows: Sequence[Row], name: str, hit: Callable[[Row], bool]) -> dict[str, dict[str, float]]:
+def _groups(rows: Sequence[Row], name: str) -> dict[str, list[Row]]:
+    """Trials by one of `SETTINGS`, or by another entry of a row, in order."""
+    of: Callable[[Row], Any] = {
+        "displacement": lambda row: "at the machine" if row.get("machine_share") else "across the slip",
+        "first reading": lambda row: "off by three deviations" if row.get("first_sd") else "like the others",
+    }.get(name, lambda row: row[name])
     groups: dict[str, list[Row]] = {}
-    for row in sorted(rows, key=lambda r: r[name]):
-        value = row[name]
+    for row in sorted(rows, key=of):
+        value = of(row)
         groups.setdefault(f"{value:g} Hz" if isinstance(value, float) else str(value), []).append(row)
-    return {word: rate(sum(map(hit, own)), len(own)) for word, own in groups.items()}
+    return groups
+
+
+def _setting(rows: Sequence[Row]) -> dict[str, Any]:
+    """Count trials of one setting; coordinates of what the catalogue holds, and of what it does not, together."""
+    holds = [row for row in rows if row["kind"] != "nothing"]
+    seen, null = [row for row in holds if row["detectable"]], [row for row in rows if row["kind"] == "nothing"]
+    inside = [row for row in seen if row["kind"] != "outside"]
+    coordinate = _share_of(seen, "coordinate_right")
+    mistaken = Counter(_mistaken(row) for row in seen if row["coordinate_right"] is False)
+    return {
+        "n": len(rows),
+        "alarms": rate(sum(row["outcome"] == "false alarm" for row in null), len(null)),
+        "visible": rate(len(seen), len(holds)),
+        "coordinate": coordinate,
+        "right": rate(sum(row["outcome"] in RIGHT_OUTCOMES for row in inside), len(inside)),
+        "missed": rate(sum(row["verdict"] == "adequate" for row in seen), len(seen)),
+        "told": _told(coordinate),
+        "mistaken": [{"truth": truth, "answer": said, "n": n} for (truth, said), n in sorted(mistaken.items())],
+    }
+
+
+def _told(coordinate: dict[str, Any]) -> str:
+    """Say from the counts whether a coordinate can be told."""
+    if coordinate["n"] < FEWEST:
+        return "too few to say"
+    if coordinate["high"] < COORDINATE:
+        return "cannot be told as often as aimed at"
+    return "can be told" if coordinate["low"] >= TOLD else "open: within the aim, or not"
+
+
+def _mistaken(row: Row) -> tuple[str, str]:
+    """Give what was concealed, and the coordinates that led the answer."""
+    ranked = sorted(row["coordinates"], key=lambda entry: -entry["probability"])
+    lead = [e for i, e in enumerate(ranked) if i < len(row["truth"]) or e["probability"] >= LIKELY]
+    pairs = sorted({f"{e['action']} over {e['coordinate']}" for e in lead})
+    known = simulators_by_id()
+    true = (" or ".join(f"{act} over {over}" for act, over in known[name].coordinates) for name in row["truth"])
+    words = [f"{name} ({where})" for name, where in zip(row["truth"], true, strict=True)]
+    return " + ".join(words), ", ".join(pairs) or "nothing"
 
 
 def _right_of_detected(rows: Sequence[Row]) -> dict[str, float]:
