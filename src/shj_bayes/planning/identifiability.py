@@ -23,6 +23,7 @@ from shj_bayes.mismatch.regions import aliases_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.catalogue import catalogue
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.motion import one_peak_speed
 from shj_bayes.results.diagnosis import Alias
 from shj_bayes.results.fit import RemarkRecord
 
@@ -77,6 +78,7 @@ class Identifiability:
     rmse_kN: float | None = None  # of what the law leaves over
     half_cycles: int = 0
     readings_of_knee: float | None = None  # of one half-cycle, on its way from one plateau to the other
+    one_speed_mm_s: float | None = None  # peak speed of nearly all cycles; None where they differ
     confusions: tuple[Confusion, ...] = ()
 
     @property
@@ -128,9 +130,15 @@ def first_answer(runs: Sequence[Run], model: DeviceModel, *, threads: int = 0) -
         rmse_kN=float(np.sqrt(np.mean(left**2))),
         half_cycles=n_half,
         readings_of_knee=float(np.median(np.concatenate([_in_knee(r, 2.0 * capacity / stiffness) for r in runs]))),
+        one_speed_mm_s=one_peak_speed(np.concatenate([_peaks(run) for run in runs])),
         confusions=confusions(aliases_of(data_of(runs, model))),
     )
     return FirstAnswer(said, tuple(runs), forces)
+
+
+def _peaks(run: Run) -> FloatArray:
+    """Give the peak speed of each half-cycle from one reversal to the next, mm/s."""
+    return np.asarray(np.maximum.reduceat(run.motion.speed_mm_s, run.motion.start[:-1])[1:-1])
 
 
 def confusions(aliases: Sequence[Alias]) -> tuple[Confusion, ...]:

@@ -610,3 +610,19 @@ def _between(values: FloatArray, turning: FloatArray, start: IntArray) -> FloatA
     ends = np.concatenate([-away[:1], turning[1:], -away[-1:]])
     n = np.diff(start)
     return np.clip(values, np.repeat(np.minimum(ends[:-1], ends[1:]), n), np.repeat(np.maximum(ends[:-1], ends[1:]), n))
+
+
+SAME_SPEED = 0.2  # peak speeds within this share of one another count as one
+
+
+def one_peak_speed(peaks_mm_s: FloatArray) -> float | None:
+    """Give the common peak speed, mm/s, of cycles when all have the same; None when they differ.
+
+    With one peak speed a loss of friction away from mid-stroke looks like speed dependence.
+    """
+    if peaks_mm_s.size == 0:
+        return None
+    middle = float(np.median(peaks_mm_s))
+    # A cycle or two may be started or stopped by hand; 90 % must agree.
+    alike = float(np.mean(np.abs(peaks_mm_s - middle) <= SAME_SPEED * middle))
+    return middle if alike >= 0.9 else None

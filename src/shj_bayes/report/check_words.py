@@ -57,6 +57,8 @@ def check_lines(said: Identifiability, family: str) -> list[str]:
     unit, out = unit_of(said), []
     units = {row.name: unit.of(row.unit) for row in said.parameters}
     out += [words.remark(one, *units[one.parameter], family=family) for one in said.remarks]
+    if said.one_speed_mm_s is not None:
+        out.append(words.alias_words(said.one_speed_mm_s))
     if said.few_readings:
         out.append(
             f"About {said.readings_of_knee:.0f} readings of a half-cycle lie on the way from one plateau to the other: "

@@ -11,6 +11,7 @@ import numpy as np
 from shj_bayes.model.law import work_between
 from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.population.quantities import LEVELS, band_of
+from shj_bayes.recording.motion import one_peak_speed
 from shj_bayes.report.beforehand import Beforehand, beforehand
 from shj_bayes.report.binned import StrokeProfile, residual, stroke_profiles
 from shj_bayes.results.device import DeviceData, RunData
@@ -20,7 +21,6 @@ from shj_bayes.results.store import diagnosis_in, find
 N_BLOCKS = 400  # pieces of a recording over which the noise band is evened out
 AT_REST = 0.1  # a run that starts or ends within this share of the stroke from the middle, starts or ends there
 SLIDES = 0.7  # of the largest force: a middle of the stroke below it the device does not slide
-SAME_SPEED = 0.2  # peak speeds within this share of one another count as one
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,17 +192,6 @@ def pick_cycle(run: RunData) -> slice:
     return slice(*spans[int(np.flatnonzero(near <= near.min() + 0.03 * amplitude.max())[-1])])
 
 
-def one_peak_speed(energies: tuple[CycleEnergy, ...]) -> float | None:
-    """Return the common peak speed, mm/s, when all cycles have the same; None when they differ."""
-    peaks = np.concatenate([e.peak_speed_mm_s for e in energies])
-    if peaks.size == 0:
-        return None
-    middle = float(np.median(peaks))
-    # A cycle or two may be started or stopped by hand; 90 % must agree.
-    alike = float(np.mean(np.abs(peaks - middle) <= SAME_SPEED * middle))
-    return middle if alike >= 0.9 else None
-
-
 def degradation(device: DeviceData) -> dict[int, tuple[float, float, float]]:
     """Loss of sliding force from the first run to every later one, per cent: 5, 50 and 95 % of its posterior."""
     names = {run.number: run_name("ratio", run.number) for run in device.runs[1:]}
@@ -238,7 +227,7 @@ def numbers_of(device: DeviceData) -> DeviceFigures:
         tuple(cycle_shape(run, energy, band.median) for run, energy, band in measured),
         degradation(device),
         tuple(stroke_profiles(run) for run in device.runs),
-        one_peak_speed(energies),
+        one_peak_speed(np.concatenate([e.peak_speed_mm_s for e in energies])),
         beforehand(device, amplitude, speed),
     )
 
