@@ -30,7 +30,7 @@ CONNECTION = {
     **{"bolts": int, "surfaces": int, "bolt_mm": float, "clamping_kN": float, "slot_mm": float},
     **{"bolt_grade": str, "shim": str, "finish": str, "displacement": str},
 }
-_RUN = re.compile(r"^(.*?)[\s_.-]*(?:run|r)[\s_.-]*(\d+)$", re.IGNORECASE)
+_RUN = re.compile(r"^(.*?)[\s_.-]*(?:run|test|lauf|r|t)[\s_.-]*(\d+)$", re.IGNORECASE)
 _NUMBERED = re.compile(r"^(?:(.+?)[\s_.-]+|(.{2,}[^\W\d]))\d+$")  # "bare 2" and "bare2", not "s24"
 _UNSAFE = re.compile(r"[^\w .()+-]+")
 
