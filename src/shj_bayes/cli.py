@@ -4,7 +4,6 @@ The rooms are imported inside the commands, so that ``shj-bayes --help`` answers
 """
 
 import json
-import re
 from collections.abc import Callable
 from dataclasses import Field, dataclass, fields
 from functools import reduce, wraps
@@ -18,7 +17,7 @@ import shj_bayes
 from shj_bayes._util.files import make_writable, need_files, need_population
 from shj_bayes._util.processes import no_interrupt_lost, quiet_libraries
 from shj_bayes.errors import CampaignError, PlanError, RecordingError, ShjError, plain_lines, system_words
-from shj_bayes.options import DIAGNOSES, DiagnoseOptions, FitOptions, MarginOptions, PlanOptions
+from shj_bayes.options import DIAGNOSES, DiagnoseOptions, FitOptions, MarginOptions, PlanOptions, flag_of
 from shj_bayes.results.codec import to_json
 
 Command = Callable[..., Any]
@@ -27,7 +26,6 @@ FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 RESULTS = click.argument("folder", type=PATH, metavar="DIR")
 SOME_FAILED = 3  # exit status of a campaign that is done but for devices that failed
 RESUMING = {"fit", "campaign", "demo"}  # go on where they were stopped
-UNIT = re.compile("_(mm|mm_s|kN|Hz|deg)$")  # at the end of a name, that the flag has not
 NAMED = 5  # failed devices that one line names
 
 
@@ -117,12 +115,12 @@ def _declared(kind: type, *names: str) -> Command:
     """Options of a command as a class declares them: of these names, in this order, or all."""
     known = {one.name: one for one in fields(kind)}
     hints = get_type_hints(kind)
-    return _options(*(_click_option(known[name], hints[name]) for name in names or known))
+    return _options(*(_click_option(kind, known[name], hints[name]) for name in names or known))
 
 
-def _click_option(one: Field[Any], hint: Any) -> Command:
+def _click_option(kind: type, one: Field[Any], hint: Any) -> Command:
     """Option as a field of a class declares it."""
-    says, flag = one.metadata, UNIT.sub("", one.name).replace("_", "-")
+    says = one.metadata
     how: dict[str, Any] = {"help": says["words"], "metavar": says["metavar"]}
     if says["commas"]:
         how |= {"default": "", "callback": _words}
@@ -139,7 +137,7 @@ def _click_option(one: Field[Any], hint: Any) -> Command:
             how["type"] = _Choice(says["choices"])
         elif says["typed"]:
             how["type"] = click.IntRange(*says["typed"])
-    return click.option(says["flag"] or f"--{flag}", one.name, **how)
+    return click.option(flag_of(kind, one.name), one.name, **how)
 
 
 def _stated(options: dict[str, Any]) -> dict[str, Any]:

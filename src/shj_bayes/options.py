@@ -6,6 +6,7 @@ A field carries its words, and what the command line needs: its flag is the fiel
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -19,6 +20,15 @@ if TYPE_CHECKING:
 
 DIAGNOSES = ("quick", "full", "off")  # how a campaign looks for what the law leaves out
 Kind = TypeVar("Kind")
+
+
+_UNIT = re.compile("_(mm|mm_s|kN|Hz|deg)$")  # at the end of a name, that the flag has not
+
+
+def flag_of(kind: Any, name: str) -> str:
+    """Flag of a field of a class of options, as a command writes it."""
+    says = next(one for one in fields(kind) if one.name == name).metadata
+    return str(says["flag"] or f"--{_UNIT.sub('', name).replace('_', '-')}")
 
 
 def option(

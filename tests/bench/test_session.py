@@ -9,7 +9,7 @@ import pytest
 from serving import write_device
 
 from shj_bayes.app.manifest import read_manifest
-from shj_bayes.bench import archive
+from shj_bayes.bench import archive, server
 from shj_bayes.bench.session import HEAD, KEPT, Session
 from shj_bayes.errors import CampaignError
 
@@ -190,3 +190,15 @@ def test_a_file_that_was_altered_or_names_others_is_refused(tmp_path: Path) -> N
     (tmp_path / "no.zip").write_bytes(b"PK nothing")
     with pytest.raises(CampaignError, match="no archive"):
         archive.unpack(tmp_path / "no.zip", tmp_path / "new")
+
+
+def test_a_shortcut_opens_the_bench_on_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "Desktop").mkdir()
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    said = server.put_shortcut(tmp_path / "my lab")
+    (entry,) = (tmp_path / "Desktop").iterdir()
+    assert str(entry) in said
+    content = entry.read_text(encoding="utf-8")
+    assert f'-m shj_bayes bench "{tmp_path / "my lab"}"' in content
+    with pytest.raises(CampaignError, match="cannot hold the path"):
+        server.put_shortcut(tmp_path / 'a"; rm -rf x')

@@ -97,6 +97,10 @@ class Jobs:
             )
             try:
                 return await asyncio.wait_for(asyncio.shield(call), PATIENCE_S)
+            except asyncio.CancelledError:  # nobody waits any more: its answer must not be that to the next question
+                self._quick = None
+                asked.stop()
+                raise
             except (EOFError, TimeoutError) as error:
                 self._quick = None
                 asked.stop()

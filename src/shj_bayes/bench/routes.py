@@ -26,6 +26,7 @@ from shj_bayes.bench.archive import pack
 from shj_bayes.bench.jobs import Job, Jobs
 from shj_bayes.bench.session import MANIFEST, Session
 from shj_bayes.errors import CampaignError, ShjError, system_words, words_of
+from shj_bayes.options import MarginOptions, flag_of
 from shj_bayes.recording.limits import MAX_BYTES
 from shj_bayes.report.page import environment_of, is_ours
 
@@ -78,6 +79,16 @@ class Bench:
         self.checked: dict[str, tuple[str, dict[str, Any]]] = {}  # by device: what it was, and what the check said
         self.read: dict[str, tuple[str, dict[str, Any]]] = {}  # by file: how it was read, and what was found
 
+    async def found_in(self, key: str) -> dict[str, Any]:
+        """Give what was found in a file, read as its device says."""
+        path, chosen = self.session.file(key), self.session.reading_of(key)
+        stamp = json.dumps([chosen, path.stat().st_mtime_ns if path.exists() else 0])
+        if key not in self.read or self.read[key][0] != stamp:
+            self.read[key] = stamp, await self.jobs.ask("read_file", self.session.folder, path, chosen)
+        given = (name for name in ("columns", "units", "sheet") if name in chosen)
+        again = self.command("check", path, *(word for name in given for word in (f"--{name}", chosen[name])))
+        return {"id": key, **self.read[key][1], "options": chosen, "command": again}
+
     def _job_changed(self, job: Job) -> None:
         self.say("job", job.told())
         if not job.under_way:
@@ -107,7 +118,7 @@ class Bench:
                         "files": device.files,
                         "options": device.content.get("options", {}),
                         "note": device.content.get("note", ""),
-                        "passed": self._passed(group.name, device.name, device.id),
+                        "passed": self._passed(device.id),
                     }
                     for device in group.devices
                 ],
@@ -138,7 +149,7 @@ class Bench:
         options = [self.session.top.get("defaults"), group.content.get("options"), device.content.get("options")]
         return json.dumps([group.name, device.name, files, options, device.content.get("runs")])
 
-    def _passed(self, set_name: str, name: str, key: str) -> bool | None:
+    def _passed(self, key: str) -> bool | None:
         said = self.checked.get(key)
         return None if said is None or said[0] != self.stamp(key) else bool(said[1]["passed"])
 
@@ -274,14 +285,10 @@ async def upload(bench: Bench, request: Request) -> Any:
     with replacing(path) as part, part.open("wb") as stream:
         async for piece in body_of(request, MAX_BYTES):
             stream.write(piece)
-    found = await bench.jobs.ask("read_file", bench.session.folder, path, {})
-    key = bench.session.add(path, found["form"])
-    chosen = bench.session.reading_of(key)
-    if chosen:
-        found = await bench.jobs.ask("read_file", bench.session.folder, path, chosen)
-    bench.read[key] = json.dumps(chosen), found
+    form = (await bench.jobs.ask("read_file", bench.session.folder, path, {}))["form"]
+    found = await bench.found_in(bench.session.add(path, form))
     bench.say("changed", "file")
-    return {"id": key, **found, "options": chosen}
+    return found
 
 
 async def file(bench: Bench, request: Request) -> Any:
@@ -298,13 +305,7 @@ async def file(bench: Bench, request: Request) -> Any:
         found = await bench.jobs.ask("read_file", bench.session.folder, path, asked)
         bench.session.set_reading(key, asked, form if not found["error"] else "")
         bench.say("changed", "file")
-    chosen = bench.session.reading_of(key)
-    stamp = json.dumps([chosen, path.stat().st_mtime_ns if path.exists() else 0])
-    if key not in bench.read or bench.read[key][0] != stamp:
-        bench.read[key] = stamp, await bench.jobs.ask("read_file", bench.session.folder, path, chosen)
-    given = (name for name in ("columns", "units", "sheet") if name in chosen)
-    again = bench.command("check", path, *(word for name in given for word in (f"--{name}", chosen[name])))
-    return {"id": key, **bench.read[key][1], "options": chosen, "command": again}
+    return await bench.found_in(key)
 
 
 async def arrange(bench: Bench, request: Request) -> Any:
@@ -314,12 +315,16 @@ async def arrange(bench: Bench, request: Request) -> Any:
     return await bench.state()
 
 
-async def describe(bench: Bench, request: Request) -> Any:
-    """Take down what is known of a set or of a device."""
-    key, content = request.path_params["id"], await said(request)
-    (bench.session.describe_set if request.path_params["kind"] == "sets" else bench.session.describe_device)(
-        key, content
-    )
+async def describe_set(bench: Bench, request: Request) -> Any:
+    """Take down what is known of a set."""
+    bench.session.describe_set(request.path_params["id"], await said(request))
+    bench.say("changed", "sets")
+    return await bench.state()
+
+
+async def describe_device(bench: Bench, request: Request) -> Any:
+    """Take down what is known of a device."""
+    bench.session.describe_device(request.path_params["id"], await said(request))
     bench.say("changed", "sets")
     return await bench.state()
 
@@ -363,36 +368,33 @@ async def end(bench: Bench, request: Request) -> Any:
 
 async def card(bench: Bench, request: Request) -> Any:
     """Give the card of each set for what a designer asks."""
-    asked = stated(await said(request))
+    asked = margins_asked(bench, await said(request))
     found = await bench.jobs.ask("card", bench.session.folder, asked)
-    words = [word for name, value in asked.items() for word in _flag(name, value)]
+    given = [(flag_of(MarginOptions, name), value) for name, value in asked.items()]
+    words = [word for flag, value in given for word in ((flag,) if value is True else (flag, value))]
     return {**found, "command": bench.command("margins", bench.session.folder, *words)}
 
 
-FLAGS = {
-    **{"nominal_kN": "--nominal", "connections": "--connections", "reliability": "--reliability"},
-    **{"amplitude_mm": "--amplitude", "speed_mm_s": "--speed", "cycles": "--cycles", "history": "--history"},
-    **{"force_wanted_kN": "--force-wanted", "drift": "--drift", "storey_height": "--storey-height"},
-    **{"lever_arm": "--lever-arm", "extrapolate": "--extrapolate", "clamping_kN": "--clamping", "mu": "--mu"},
-}
-
-
-def _flag(name: str, value: Any) -> list[str]:
-    if name in ("history", "drift"):
-        return [FLAGS[name], "bench/history.csv"]
-    return [FLAGS[name]] if value is True else [FLAGS[name], str(value)] if name in FLAGS else []
+def margins_asked(bench: Bench, content: dict[str, Any]) -> dict[str, Any]:
+    """Options of the margins that a page states; a history is the one that was dropped in, whatever it says."""
+    asked = stated(content)
+    for name in ("history", "drift"):
+        if name in asked:
+            if bench.session.history is None:
+                raise CampaignError("no history was dropped in: choose a file of displacement (mm) over time (s)")
+            asked[name] = str(bench.session.history)
+    return asked
 
 
 async def margins(bench: Bench, request: Request) -> Any:
     """Begin to draw up and write the margins for what a designer asks."""
-    asked = stated(await said(request))
+    asked = margins_asked(bench, await said(request))
     return bench.jobs.begin("margins", "margins", bench.session.folder, asked).told()
 
 
 async def history(bench: Bench, request: Request) -> Any:
     """Take a history of displacement in."""
-    path = bench.session.folder / "bench" / "history.csv"
-    path.parent.mkdir(parents=True, exist_ok=True)
+    path = bench.session.place_for_history(request.query_params.get("name", ""))
     with replacing(path) as part, part.open("wb") as stream:
         async for piece in body_of(request, MAX_BYTES):
             stream.write(piece)
@@ -412,8 +414,11 @@ async def plan(bench: Bench, request: Request) -> Any:
     key = request.path_params["id"]
     group, device = bench.session.device(key)
     known = ("max_stroke_mm", "max_speed_mm_s", "max_force_kN", "max_minutes", "rate_Hz")
-    asked = await said(request)
-    limits = {name: float(value) for name, value in stated(asked).items() if name in known}
+    asked = {name: value for name, value in stated(await said(request)).items() if name in known}
+    try:
+        limits = {name: float(value) for name, value in asked.items()}
+    except (TypeError, ValueError) as error:
+        raise CampaignError(f"a limit of the rig is no number: {asked}") from error
     return bench.jobs.begin("plan", key, bench.session.folder, group.name, device.name, limits).told()
 
 
@@ -489,7 +494,8 @@ ROUTES = (
     ("/api/files", "PUT", upload),
     ("/api/files/{id}", "GET PUT DELETE", file),
     ("/api/sets", "PUT", arrange),
-    ("/api/{kind:str}/{id}/about", "PUT", describe),
+    ("/api/sets/{id}/about", "PUT", describe_set),
+    ("/api/devices/{id}/about", "PUT", describe_device),
     ("/api/devices/{id}/check", "GET", check),
     ("/api/devices/{id}/fit", "POST", fit),
     ("/api/devices/{id}/plan", "POST", plan),

@@ -32,6 +32,7 @@ CONNECTION = {
 }
 _RUN = re.compile(r"^(.*?)[\s_.-]*(?:run|test|lauf|r|t)[\s_.-]*(\d+)$", re.IGNORECASE)
 _NUMBERED = re.compile(r"^(?:(.+?)[\s_.-]+|(.{2,}[^\W\d]))\d+$")  # "bare 2" and "bare2", not "s24"
+_ENDING = re.compile(r"(\.[A-Za-z0-9]{1,6}){1,2}$")
 _UNSAFE = re.compile(r"[^\w .()+-]+")
 
 
@@ -169,6 +170,18 @@ class Session:
         folder.mkdir(parents=True, exist_ok=True)
         tries = (f"{stem or 'recording'}{f'-{n}' if n else ''}{dot}{endings}" for n in count())
         return next(folder / one for one in tries if not (folder / one).exists())
+
+    @property
+    def history(self) -> Path | None:
+        """The history of displacement that was dropped in; None where there is none."""
+        return next(iter(sorted((self.folder / "bench").glob("history.*"))), None)
+
+    def place_for_history(self, name: str) -> Path:
+        """Give the path for a history, in the place of the one before; its name tells its format alone."""
+        if before := self.history:
+            before.unlink()
+        ending = _ENDING.search(name)
+        return self.folder / "bench" / f"history{ending[0] if ending else '.csv'}"
 
     def add(self, path: Path, form: str = "") -> str:
         """Take a file in: a run of the device that its name belongs to, or a new device. Give its id.

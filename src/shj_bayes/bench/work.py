@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from shj_bayes.app.device import Work, remarked
 from shj_bayes.app.manifest import Device, read_manifest
 from shj_bayes.app.plan import plan_next
 from shj_bayes.app.resume import POPULATION, design_margins, kept_result, priors_of
-from shj_bayes.errors import CampaignError, RecordingError, ShjError
+from shj_bayes.errors import CampaignError, RecordingError, ShjError, shown
 from shj_bayes.inference.run import runs_of
 from shj_bayes.options import FitOptions, MarginOptions, PlanOptions
 from shj_bayes.planning.identifiability import first_answer
@@ -39,7 +39,6 @@ from shj_bayes.results.store import DIAGNOSIS, digests, find
 
 MANIFEST = "campaign.toml"
 FIRST_ROWS = 8  # of a file, for choosing its columns
-HISTORY = "bench/history.csv"
 Tell = Callable[[float | None, str], None]
 Told = dict[str, Any]
 
@@ -203,14 +202,17 @@ def pool(folder: Path, workers: int, tell: Tell) -> Told:
     return {"text": result.text, "usable": result.usable}
 
 
-def _request(folder: Path, asked: Mapping[str, Any]) -> MarginOptions:
-    """Options of the margins from those of a page, of which a history is the file of the folder."""
-    chosen = {name: value for name, value in asked.items() if name not in ("history", "drift")}
-    if isinstance(chosen.get("sets"), list):
-        chosen["sets"] = tuple(chosen["sets"])
-    for name in ("history", "drift"):
-        if asked.get(name):
-            chosen[name] = folder / HISTORY
+def _request(asked: Mapping[str, Any]) -> MarginOptions:
+    """Options of the margins from those of a page."""
+    hints, chosen = get_type_hints(MarginOptions), dict(asked)
+    for name, value in asked.items():
+        if name not in hints:
+            raise CampaignError(f"the margins have no option {shown(name, 30)}")
+        kinds = get_args(hints[name]) or (hints[name],)
+        if int in kinds and not isinstance(value, int):
+            raise CampaignError(f"{name.replace('_', ' ')} = {shown(value)}; it needs a whole number")
+        if Path in kinds:
+            chosen[name] = Path(value)
     return MarginOptions(**chosen)
 
 
@@ -221,7 +223,7 @@ def _pooled(folder: Path, stamp: str, request: MarginOptions) -> PooledTests:
 
 def card(folder: Path, asked: Mapping[str, Any], tell: Tell) -> Told:
     """Draw up the card of each set; what needs no new pooling comes from what is kept in memory."""
-    request = _request(folder, asked)
+    request = _request(asked)
     drawn = MarginOptions(
         **{
             name: getattr(request, name)
@@ -232,7 +234,7 @@ def card(folder: Path, asked: Mapping[str, Any], tell: Tell) -> Told:
             if request.drift is not None or name not in ("storey_height", "lever_arm", "brace_angle_deg")
         }
     )
-    stamp = str(digests(folder, [*POPULATION, "campaign.json", HISTORY]))
+    stamp = str(digests(folder, [*POPULATION, "campaign.json", "bench/history.*"]))
     sheet = sheet_of(_pooled(folder, stamp, drawn), request)
     return {"cards": shown_cards(sheet), "warnings": list(sheet.warnings), "history": sheet.history}
 
@@ -240,7 +242,7 @@ def card(folder: Path, asked: Mapping[str, Any], tell: Tell) -> Told:
 def margins(folder: Path, asked: Mapping[str, Any], tell: Tell) -> Told:
     """Draw up and write the margins, as `shj-bayes margins` does."""
     tell(None, "drawing up the margins")
-    return {"text": design_margins(folder, _request(folder, asked)).text}
+    return {"text": design_margins(folder, _request(asked)).text}
 
 
 def compare(folder: Path, set_a: str, set_b: str, tell: Tell) -> Told:

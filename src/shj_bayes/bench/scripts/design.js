@@ -59,7 +59,9 @@
       if (history && HISTORIED.includes(field.name)) continue;
       out[field.name] = field.type === "number" ? Number(field.value) : field.value;
     }
-    return { ...out, history };
+    const { storey_height: height, lever_arm: arm, ...plain } = out;
+    if (!history) return arm === undefined ? plain : { ...plain, lever_arm: arm };
+    return height === undefined || arm === undefined ? { ...plain, history } : { ...plain, drift: true, storey_height: height, lever_arm: arm };
   };
   const ask = async () => {
     if (asking) {
@@ -95,10 +97,10 @@
   at("asked").addEventListener("submit", (event) => event.preventDefault());
   at("asked").elements.history.addEventListener("change", async (event) => {
     const file = event.target.files[0];
-    if (!file || !(await bench.ask("/api/history", "PUT", file))) return;
+    if (!file || !(await bench.ask(`/api/history?name=${encodeURIComponent(file.name)}`, "PUT", file))) return;
     history = true;
     at("no-history").hidden = false;
-    bench.say(`${file.name} is the history of slip that the card is for.`);
+    bench.say(`${file.name} is the history that the card is for: slip, or with storey height and lever arm drift of the storey.`);
     ask();
   });
   at("no-history").addEventListener("click", () => {
