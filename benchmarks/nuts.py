@@ -22,9 +22,9 @@ from numpy_posterior import around
 from numpyro.infer import MCMC, NUTS, init_to_median
 from numpyro.infer.util import log_density
 
+from shj_bayes.inference.binning import Run
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.posterior import Posterior
-from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import Prior, read_priors

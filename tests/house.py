@@ -18,8 +18,8 @@ SRC = ROOT / "src" / "shj_bayes"
 RESULTS = re.compile(r"\b(fit|diagnosis|campaign|population|summary|residual)\.json\b|\b(posterior|diagnosis)\.nc\b")
 READS = re.compile(r"\b(read_json|open_dataset|open_group|InferenceData|from_netcdf|json\.loads?)\(")
 LIMITS = {
-    "lines": 36_710,
-    "files": 187,
+    "lines": 36_489,
+    "files": 165,
     "dataclasses": 197,
     "class names that exist twice": 0,
     "methods of the largest class": 29,

@@ -47,13 +47,13 @@ class Breakage:
 BREAKAGES = (
     Breakage(
         "law: exponent 1/beta left out",
-        "model/kernel.py",
+        "model/law.py",
         "    b = 1.0 / beta\n",
         "    b = 1.0\n",
     ),
     Breakage(
         "law: signed v instead of |v|",
-        "model/kernel.py",
+        "model/law.py",
         "_span(out[j, a:b], x[a:b], speed[a:b], part,",
         "_span(out[j, a:b], x[a:b], direction[k] * speed[a:b], part,",
     ),
@@ -107,7 +107,7 @@ BREAKAGES = (
     ),
     Breakage(
         "floor: the posterior is always believed",
-        "inference/robust.py",
+        "inference/convergence.py",
         "np.where(told & (ratio > limit), ratio, 1.0)",
         "np.where(told & (ratio > 1e9), ratio, 1.0)",
     ),

@@ -13,9 +13,8 @@ from shj_bayes.inference.start import find_start
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.law import BETA_RANGE, VARIANTS, force_of_laws
-from shj_bayes.model.noise.catalogue import noise_model, noise_models
 from shj_bayes.model.noise.filter import Timing, log_density, simulate
-from shj_bayes.model.noise.noise import Noise, gaussian
+from shj_bayes.model.noise.noise import Noise, gaussian, noise_model, noise_models
 from shj_bayes.model.parameters import BASE, LAW_PARAMETERS, NOISE_PARAMETERS, SHAREABLE, Parameter
 from shj_bayes.model.priors import Prior, read_priors
 from shj_bayes.options import DiagnoseOptions

@@ -27,9 +27,9 @@ from shj_bayes.app.resume import (
     priors_of,
 )
 from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, plain_lines, plain_text
+from shj_bayes.inference.binning import Run, runs_of
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.posterior import make_posterior
-from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan
 from shj_bayes.inference.start import find_start
 from shj_bayes.inference.store import versions

@@ -24,7 +24,7 @@ from shj_bayes.options import PLAIN, FitOptions, MarginOptions
 from shj_bayes.recording.reader import by_ending
 from shj_bayes.recording.recording import Finding, Recording
 from shj_bayes.report import words
-from shj_bayes.report.force_unit import force_unit
+from shj_bayes.report.words import force_unit
 from shj_bayes.results.campaign import CampaignRecord, read_campaign
 from shj_bayes.results.codec import to_json
 from shj_bayes.results.diagnosis import LeftOver

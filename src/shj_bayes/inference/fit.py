@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.inference import store
-from shj_bayes.inference.convergence import Diagnostics, FitVerdict, judge, pareto_k
+from shj_bayes.inference.binning import Run
+from shj_bayes.inference.convergence import Diagnostics, FitVerdict, Widening, judge, pareto_k, widening_of
 from shj_bayes.inference.posterior import Posterior, SharedDensity, make_posterior, n_threads
-from shj_bayes.inference.robust import Widening, widening_of
-from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start, root_of
 from shj_bayes.inference.store import remarks_of

@@ -15,8 +15,7 @@ import numpy as np
 
 import shj_bayes
 from shj_bayes.errors import InferenceError, PriorError
-from shj_bayes.inference.binning import BinnedRun, reduce_runs
-from shj_bayes.inference.run import Run, histories_of
+from shj_bayes.inference.binning import BinnedRun, Run, histories_of, reduce_runs
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History
 from shj_bayes.model.noise.filter import LANES, log_density

@@ -9,9 +9,8 @@ import numpy as np
 from scipy.optimize import brentq, least_squares, minimize, minimize_scalar
 
 from shj_bayes.errors import InferenceError
-from shj_bayes.inference.binning import BinnedRun
+from shj_bayes.inference.binning import BinnedRun, Run
 from shj_bayes.inference.posterior import Density, Posterior, SharedDensity, n_threads
-from shj_bayes.inference.run import Run
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.noise.filter import log_density

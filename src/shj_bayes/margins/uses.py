@@ -17,7 +17,7 @@ from shj_bayes.margins.basis import (
     reading_error,
 )
 from shj_bayes.margins.codes.code import Given
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE, USE, Margin
+from shj_bayes.margins.spread import HIGH, LOW, MIDDLE, USE, Margin
 from shj_bayes.options import in_mm
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.quantities import HIGHEST, LOWEST, THIRD_CYCLE, FloatArray, quantity, stream

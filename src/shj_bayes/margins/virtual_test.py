@@ -16,8 +16,8 @@ from scipy.integrate import trapezoid
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.history import LoadCase, LoadingHistory, MeasuredChannel, allowed, load_cases, measured_channels
-from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen, drive
+from shj_bayes.margins.spread import HIGH, LOW
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray, base_of, run_name
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags

@@ -16,9 +16,9 @@ from functools import cached_property
 
 import numpy as np
 
+from shj_bayes.inference.binning import Run
 from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import STEP, law_starts, started
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel

@@ -9,15 +9,25 @@ from itertools import product
 import numpy as np
 
 from shj_bayes.inference.start import start_values
-from shj_bayes.mismatch.classes import FORMS, LOG_PRIOR_ODDS, Candidate, Dependence, Parametrisation, size_weights
 from shj_bayes.mismatch.data import BinnedData, ErrorModel, ErrorParameters
-from shj_bayes.mismatch.hypothesis import Hypothesis, columns_of, same_twice, without
+from shj_bayes.mismatch.hypothesis import (
+    FORMS,
+    LOG_PRIOR_ODDS,
+    Candidate,
+    Dependence,
+    Hypothesis,
+    Parametrisation,
+    columns_of,
+    same_twice,
+    size_weights,
+    without,
+)
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace
 from shj_bayes.mismatch.periodic import follows_cycles, is_over_a_clock, waves
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.parameters import FloatArray
 
 WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside

@@ -9,15 +9,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shj_bayes.mismatch.classes import EXPLAINED, LOG_PRIOR_ODDS, MIN_EFFECT, Candidate, Dependence, candidates
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.fitter import Fitter, noise_beside
 from shj_bayes.mismatch.hypothesis import (
     CONSTANT,
     DIRECTION,
     DISTANCE,
+    EXPLAINED,
+    LOG_PRIOR_ODDS,
+    MIN_EFFECT,
     MOTION,
+    Candidate,
+    Dependence,
     Hypothesis,
+    candidates,
     columns_of,
     force_distance,
     is_curve,

@@ -11,7 +11,8 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.special import ndtri
 
 from shj_bayes.inference.gaussian import log_gains
-from shj_bayes.mismatch.classes import (
+from shj_bayes.mismatch.data import AVERAGED_S, BinnedData, ErrorModel
+from shj_bayes.mismatch.hypothesis import (
     EXPLAINED,
     FORMS,
     Candidate,
@@ -20,7 +21,6 @@ from shj_bayes.mismatch.classes import (
     candidates,
     size_weights,
 )
-from shj_bayes.mismatch.data import AVERAGED_S, BinnedData, ErrorModel
 from shj_bayes.mismatch.laplace import Laplace, laplace_under
 from shj_bayes.mismatch.screen import beside_law, screen
 from shj_bayes.model.coordinates import Coordinate, coordinates, coordinates_of

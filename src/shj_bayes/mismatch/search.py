@@ -7,10 +7,24 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from shj_bayes.mismatch.classes import ALPHA, EXPLAINED, MIN_EFFECT, Dependence, Parametrisation, candidates
 from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorParameters
 from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
-from shj_bayes.mismatch.hypothesis import CONSTANT, MOTION, TEETH, TIME, TRAVEL, Hypothesis, replaced, without
+from shj_bayes.mismatch.hypothesis import (
+    ALPHA,
+    CONSTANT,
+    EXPLAINED,
+    MIN_EFFECT,
+    MOTION,
+    TEETH,
+    TIME,
+    TRAVEL,
+    Dependence,
+    Hypothesis,
+    Parametrisation,
+    candidates,
+    replaced,
+    without,
+)
 from shj_bayes.mismatch.laplace import laplace_under, zero_of
 from shj_bayes.mismatch.moves import (
     BEAM,

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from shj_bayes.errors import InferenceError, ReportError
-from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT, PRIOR_INCLUSION
+from shj_bayes.mismatch.hypothesis import ALPHA, MIN_EFFECT, PRIOR_INCLUSION
 from shj_bayes.mismatch.moves import PROMISING
 from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.model.parameters import FloatArray

@@ -7,12 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from shj_bayes.inference.binning import BinnedRun, reduce_runs
+from shj_bayes.inference.binning import BinnedRun, Run, histories_of, reduce_runs, runs_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.run import Run, histories_of, runs_of
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.law import force_of_laws
 from shj_bayes.model.noise.low_speed import rougher, slowness
 from shj_bayes.model.priors import read_priors

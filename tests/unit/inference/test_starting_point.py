@@ -8,8 +8,8 @@ import pytest
 from scipy import optimize, stats
 
 from shj_bayes.errors import InferenceError
+from shj_bayes.inference.binning import Run
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import Start, find_start, law_starts, most_probable_noise, root_of
 from shj_bayes.model.noise.low_speed import rougher, slowness
 from shj_bayes.model.simulate import Truth

@@ -9,9 +9,9 @@ from scipy.optimize import least_squares
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from shj_bayes.mismatch.classes import FORMS, PRIOR_INCLUSION, Dependence, candidates, classes, size_weights, sized
 from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.heldout import PARTS, Gain, HeldOut, cycles_of, held_out
+from shj_bayes.mismatch.hypothesis import FORMS, PRIOR_INCLUSION, Dependence, candidates, classes, size_weights, sized
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace, laplace_under, visible
 from shj_bayes.mismatch.screen import SIZES_OF_STARTS, screen
 from shj_bayes.model.curve import SIZES

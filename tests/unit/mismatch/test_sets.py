@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from shj_bayes.mismatch.classes import LOG_PRIOR_ODDS, PRIOR_INCLUSION
+from shj_bayes.mismatch.hypothesis import LOG_PRIOR_ODDS, PRIOR_INCLUSION
 from shj_bayes.mismatch.sets import ALONE, DeviceEvidence, DiagnosedDevice, common_to, log_shared, together
 from shj_bayes.results.codec import from_json
 from shj_bayes.results.diagnosis import EvidenceRecord

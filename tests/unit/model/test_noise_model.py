@@ -9,9 +9,8 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import ModelError
-from shj_bayes.model.noise.catalogue import DEFAULT, noise_model, noise_models
 from shj_bayes.model.noise.filter import Timing, density_and_zero, log_density, simulate, whiten
-from shj_bayes.model.noise.noise import Noise, gaussian
+from shj_bayes.model.noise.noise import DEFAULT, Noise, gaussian, noise_model, noise_models
 
 STEP = 0.05
 INF = math.inf

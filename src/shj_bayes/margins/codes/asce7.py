@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 
 from shj_bayes.margins.basis import Bounds, SlidingForceBounds
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
+from shj_bayes.margins.spread import HIGH, LOW, MIDDLE, Margin
 
 CLAUSE = "ASCE 7 18.2.4"
 ADJUSTMENT = 0.75

@@ -9,8 +9,7 @@ from shj_bayes._util.imports import discovered
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins import codes
 from shj_bayes.margins.basis import RANK, DesignBasis
-from shj_bayes.margins.row import FACTORS, Margin
-from shj_bayes.margins.spread import Sample, Spread, known, limit, remarks
+from shj_bayes.margins.spread import FACTORS, Margin, Sample, Spread, known, limit, remarks
 from shj_bayes.model.parameters import base_of
 from shj_bayes.options import MarginOptions
 from shj_bayes.population.hierarchy import ANY_SET

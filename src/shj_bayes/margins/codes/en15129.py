@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import Bounds, Environment
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.row import HIGH, LOW, Margin
+from shj_bayes.margins.spread import HIGH, LOW, Margin
 
 COMBINATION = {"III": 0.90, "II": 0.70, "I": 0.60}
 """psi_fi by importance class of the structure."""

@@ -19,8 +19,7 @@ from scipy import special
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.row import HIGH, LOW, TESTING, Margin
-from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Spread, sd_of_log
+from shj_bayes.margins.spread import HIGH, LOGNORMAL, LOW, NORMAL, TESTING, Margin, Spread, sd_of_log
 
 CHARACTERISTIC = 0.05
 """Fractile of a characteristic value, Table D1."""

@@ -16,8 +16,7 @@ from scipy import optimize, special
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.row import HIGH, LOW, TOLERANCE, Margin
-from shj_bayes.margins.spread import COMMON, LOGNORMAL, NORMAL, UNKNOWN
+from shj_bayes.margins.spread import COMMON, HIGH, LOGNORMAL, LOW, NORMAL, TOLERANCE, UNKNOWN, Margin
 from shj_bayes.population.quantities import FloatArray
 
 CLAUSE = "ISO 16269-6"

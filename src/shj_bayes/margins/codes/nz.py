@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.row import HIGH, LOW, Margin
+from shj_bayes.margins.spread import HIGH, LOW, Margin
 
 PRACTICE_PHI, PRACTICE_PHI_O = 0.70, 1.40
 """Values in use for high-hardness shims (Bisalloy 400 and harder), recalled from the AFC literature of 2012-14."""

@@ -1,15 +1,22 @@
-"""What a noise model is: a white part, a part that is correlated in time, and how heavy its tails are."""
+"""What a noise model is: a white part, a part correlated in time, how heavy its tails are; and all that there are.
+
+Every module of this package that holds a ``NOISE`` is one; adding a file is enough.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from shj_bayes.errors import ModelError
+from shj_bayes._util.imports import discovered
+from shj_bayes.errors import ModelError, did_you_mean
+from shj_bayes.model import noise
 from shj_bayes.model.parameters import NOISE_PARAMETERS, FloatArray
 
 Values = Mapping[str, FloatArray]
+DEFAULT = "slow"
 
 
 class NoiseComponents(NamedTuple):
@@ -52,3 +59,20 @@ def gaussian(white_kN: FloatArray, slow_kN: FloatArray) -> NoiseComponents:
 def exponential(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
     """Correlation exp(-t / tau_slow) of an Ornstein-Uhlenbeck process, whatever the sampling rate."""
     return np.exp(-seconds[:, None] / values["tau_slow"])
+
+
+@cache
+def noise_models() -> dict[str, Noise]:
+    """Every noise model by its word, the default first."""
+    found = {model.id: model for model in discovered(noise, "NOISE", ModelError)}
+    return dict(sorted(found.items(), key=lambda item: (item[0] != DEFAULT, item[0])))
+
+
+def noise_model(word: str) -> Noise:
+    """Noise model of a word; `ModelError` with those that there are where there is none."""
+    known = noise_models()
+    if word not in known:
+        raise ModelError(
+            f"noise '{word}' is not known; choose one of {', '.join(known)}{did_you_mean(word, list(known))}"
+        )
+    return known[word]
