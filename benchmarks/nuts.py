@@ -152,7 +152,7 @@ def main() -> int:
     ours = fit(make_runs(asked.seed), DeviceModel(2, read_priors("afc")), plan=SamplingPlan(seed=asked.seed))
     posterior = ours.posterior
     draws = np.stack([ours.data["posterior"][name].to_numpy().ravel() for name in posterior.names], axis=1)
-    whole = posterior.refined(draws.mean(axis=0), longest_s=0.0).rougher(0.0)
+    whole = posterior.refined(draws.mean(axis=0), longest_s=0.0).with_noise_at_rest(0.0)
     some = draws[:: draws.shape[0] // 20]
     apart, exact = same_density(whole, some, dense=False), same_density(whole, some, dense=True)
     print(f"log densities differ by one constant to {apart:.1e} at 20 points")

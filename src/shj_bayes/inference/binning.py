@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from shj_bayes.errors import InferenceError
 from shj_bayes.model.device import UNLOADED
+from shj_bayes.model.filter import Timing
 from shj_bayes.model.history import History, Measured, histories, measured_in
-from shj_bayes.model.noise.filter import Timing
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import NEAR, IntArray, Motion, degree_for, motion_of
 from shj_bayes.recording.recording import Recording

@@ -22,7 +22,7 @@ from scipy.special import chdtri, ndtri
 
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.start import Start
-from shj_bayes.model.noise.filter import whiten
+from shj_bayes.model.filter import whiten
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.fit import Trust
 

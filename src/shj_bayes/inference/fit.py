@@ -24,7 +24,7 @@ from shj_bayes.inference.sampler import LIBRARY, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start, root_of
 from shj_bayes.inference.store import remarks_of
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.noise.filter import whiten
+from shj_bayes.model.filter import whiten
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.fit import FitRecord, Trust
 from shj_bayes.results.store import CHECKPOINT, Group

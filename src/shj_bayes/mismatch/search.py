@@ -30,6 +30,7 @@ from shj_bayes.mismatch.moves import (
     BEAM,
     DEPTH,
     FOLLOWED,
+    LAST_MOVES,
     RIVAL,
     Search,
     add_one,
@@ -44,8 +45,6 @@ from shj_bayes.mismatch.moves import (
     near_to,
     refit_noise,
     replace_by_formula,
-    split_curve,
-    swap_one,
     try_constant,
 )
 from shj_bayes.mismatch.periodic import (
@@ -107,9 +106,9 @@ def search(
         out = look_for(out, tuple(classes))
         out = deepen_from(out, len(out.best.members))
     out = detect_chatter(out)
-    if not out.metric.is_capped:
-        out = split_curve(out)
-    return detect_chatter(finish(swap_one(out)))
+    for move in LAST_MOVES:
+        out = move(out)
+    return detect_chatter(finish(out))
 
 
 def deepen_from(out: Search, first: int) -> Search:

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes.model.parameters import NOISE_PARAMETERS, FloatArray, base_and_run
+from shj_bayes.model.noise.noise import noise_parameters
+from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 from shj_bayes.recording.columns import TENSION
 from shj_bayes.report.figures.canvas import (
@@ -379,7 +380,7 @@ def draw(device: DeviceData, numbers: DeviceFigures) -> dict[str, Any]:
     shapes = [shape for shape in numbers.shapes if shape.push_kN.size]
     energies = [e for e in numbers.energies if e.measured_J.size]
     draws, units = _shown(device, unit)
-    noise = {name for name in draws if "." not in name and base_and_run(name)[0] in NOISE_PARAMETERS}
+    noise = {name for name in draws if name in noise_parameters()}
     return {
         "hero": cycle([_one_cycle(run, band) for run, band in runs], unit),
         "time": [over_time(run.time_s, run.force_kN, band.median, _noise(run), unit) for run, band in runs],

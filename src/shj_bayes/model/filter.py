@@ -49,6 +49,8 @@ N_ROWS = 17
 LARGE_NU = 1e300  # beyond it Student's t is the normal law
 TOGETHER = 16  # variances that are multiplied before their logarithm is taken: within doubles from 1e-9 to 1e9 kN
 SHORT = 1e-4  # of the memory: a block for which the series is the more exact
+LOW_SPEED = 0.4  # of the peak speed, below which the noise may be another one
+AT_REST_SD = 0.7  # sd before the test of the logarithm of its ratio: a factor of two either way
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,13 +133,13 @@ def whiten(
     columns: FloatArray,
     slope: FloatArray,
     timing: Timing,
-    rougher: FloatArray | None = None,
+    factor: FloatArray | None = None,
 ) -> tuple[FloatArray, float]:
     """Take from each column what the noise before predicts, in units of the standard deviation of what is new.
 
     The noise of whitened columns, shape (n, p), is independent and of unit variance. Errors of turning points count as
-    independent from block to block, the zero of the load cell as known, heavy tails as normal ones. `rougher`, shape
-    (n,), is a factor on all noise of each block, by default 1. Gives the whitened columns of the blocks that are
+    independent from block to block, the zero of the load cell as known, heavy tails as normal ones. `factor`, shape
+    (n,), is one on all noise of each block, by default 1. Gives the whitened columns of the blocks that are
     evidence, and the log determinant of the covariance; other arguments as for `log_density`, of one parameter set.
     """
     rows = {name: np.array([value]) for name, value in values.items()}
@@ -145,7 +147,7 @@ def whiten(
     table = table_of(noise, rows, timing)[0]
     own = timing.kind >= 0
     out = np.empty((int(np.count_nonzero(own)), columns.shape[1]))
-    factor = np.ones(own.size) if rougher is None else rougher
+    factor = np.ones(own.size) if factor is None else factor
     turning = np.repeat(timing.turning_noise_mm, np.diff(timing.half))
     steepness = timing.displacement_noise_mm**2 * timing.share[:, 1] + turning**2
     white = parts.white_kN[0] ** 2 * timing.share[:, 0] + steepness * (slope / factor) ** 2
@@ -377,3 +379,13 @@ def _recurse(decay, draw):  # type: ignore[no-untyped-def]
         before = decay[i] * before + math.sqrt(1.0 - decay[i] * decay[i]) * draw[i]
         out[i] = before
     return out
+
+
+def slowness(speed_mm_s: FloatArray, peak_mm_s: float) -> FloatArray:
+    """How far each speed is a low one, 1 at rest to 0 at the peak."""
+    return np.asarray(np.exp(-((speed_mm_s / (LOW_SPEED * peak_mm_s)) ** 2)))
+
+
+def sd_over_speed(at_rest: float, slow: FloatArray) -> FloatArray:
+    """Give the standard deviation of the noise over that at speed, from its logarithm at rest and from `slowness`."""
+    return np.asarray(1.0 + math.expm1(at_rest) * slow)
