@@ -16,7 +16,7 @@ import pandas as pd
 from shj_bayes._util.files import damage_told, replacing, write_text
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet, pool
-from shj_bayes.margins.spread import BETWEEN, COMMON, FACTORS, HIGH, KNOWN, LOW, MIDDLE, UNKNOWN, Key, Margin
+from shj_bayes.margins.spread import FACTORS, HIGH, LOW, MIDDLE, V_BETWEEN, V_COMMON, V_KNOWN, V_UNKNOWN, Key, Margin
 from shj_bayes.margins.uses import (
     BATCH_PASSES,
     FIRST,
@@ -42,7 +42,7 @@ from shj_bayes.results import codec
 from shj_bayes.results.campaign import Connection
 from shj_bayes.results.store import digest_of, package, put_back, read_arrays, taken_out, write_arrays
 
-WAYS = (KNOWN, COMMON, UNKNOWN, BETWEEN)
+WAYS = (V_KNOWN, V_COMMON, V_UNKNOWN, V_BETWEEN)
 """Ways to come by the spread, the one to be shown first."""
 SIDES = (LOW, MIDDLE, HIGH)
 ASCE, FLOOR = "ASCE 7", "with the floor for dampers"

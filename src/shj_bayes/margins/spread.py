@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import fdtrc
@@ -16,11 +17,22 @@ DESIGN, SPREAD, USE = "design", "spread", "use"
 LOW, MIDDLE, HIGH = "low", "middle", "high"
 Key = tuple[str, str, str, str]
 """Set, quantity, kind, side."""
-KNOWN, UNKNOWN, COMMON, BETWEEN = "V known", "V unknown", "V common", "V between sets"
+V_KNOWN, V_UNKNOWN, V_COMMON, V_BETWEEN = "V known", "V unknown", "V common", "V between sets"
 SIGNS = {LOW: -1, HIGH: 1}
 NORMAL, LOGNORMAL = "normal", "lognormal"
 NOT_NORMAL = "not above zero: the normal law does not suit so wide a spread; use the lognormal value"
 _FLOORED = "the devices agree to the printed digits: the spread is that of rounding"
+
+
+class Origin(NamedTuple):
+    """Where a margin comes from."""
+
+    clause: str
+    formula: str  # in words and signs
+    inputs: str  # the numbers put into it
+    purpose: str  # what it is for
+    note: str = ""  # what to mind
+    warning: str = ""  # a few words that belong into the same cell as the value wherever it is shown
 
 
 @dataclass(frozen=True)
@@ -185,7 +197,7 @@ def known(sample: Sample, variation: float, reason: str) -> Spread:
     note = ""
     if sample.n > 1 and sample.variation > variation:
         note = f"these devices spread more than the V stated: {sample.variation:.3f} against {variation:g}"
-    return Spread(KNOWN, sd_of_log(variation), variation, math.inf, sample.n, f"stated, because: {reason}", note)
+    return Spread(V_KNOWN, sd_of_log(variation), variation, math.inf, sample.n, f"stated, because: {reason}", note)
 
 
 def of_set(sample: Sample, common: tuple[float, int], warning: str = "") -> tuple[Spread, ...]:
@@ -195,11 +207,11 @@ def of_set(sample: Sample, common: tuple[float, int], warning: str = "") -> tupl
         notes = [_FLOORED] if sample.sd_log <= sample.floor else []
         notes += ["two devices hardly tell a spread; use V common"] if sample.n == 2 else []
         known_to = (sample.sd_log, sample.variation, sample.n - 1, sample.n)
-        out.append(Spread(UNKNOWN, *known_to, "these devices alone", "; ".join(notes)))
+        out.append(Spread(V_UNKNOWN, *known_to, "these devices alone", "; ".join(notes)))
     sd, degrees = common
     if degrees:
         origin = "all sets together, each about its mean"
-        out.append(Spread(COMMON, sd, variation_of_log(sd), degrees, sample.n, origin, warning, warning))
+        out.append(Spread(V_COMMON, sd, variation_of_log(sd), degrees, sample.n, origin, warning, warning))
     return tuple(out)
 
 
@@ -227,7 +239,7 @@ def between_sets(of_sets: Sequence[Sample]) -> tuple[Sample, tuple[Spread, ...]]
     sd = math.sqrt(total)
     origin = f"{sample.n} set means and the devices about them ({harmonic:.3g} a set)"
     return sample, (
-        Spread(BETWEEN, sd, variation_of_log(sd), nu, sample.n * total / between if between else math.inf, origin),
+        Spread(V_BETWEEN, sd, variation_of_log(sd), nu, sample.n * total / between if between else math.inf, origin),
     )
 
 

@@ -44,7 +44,7 @@ N_ROWS = 17
 # the first and the last of these over the half-cycles so far.
 (
     STATE, VARIANCE, TURN, WHITE, SLOW, ACROSS, ALONG, OWN, PRODUCT, TOTAL, LAST,
-    ZERO, WITH_NEW, WITH_TURN, WITH_SELF, KNOWN, KNOWN_SELF,
+    ZERO, WITH_NEW, WITH_TURN, WITH_SELF, ALL_WITH_NEW, ALL_WITH_SELF,
 ) = range(0, N_ROWS * LANES, LANES)  # fmt: skip
 LARGE_NU = 1e300  # beyond it Student's t is the normal law
 TOGETHER = 16  # variances that are multiplied before their logarithm is taken: within doubles from 1e-9 to 1e9 kN
@@ -271,7 +271,7 @@ def _filter(out, residual, slope, kind, share, table, half, scales, errors, nois
                 # Variances that vanish together: so little noise has no density, not an infinite one.
                 out[first + lane, k] = value if value < math.inf else -math.inf
         for lane in range(min(LANES, m - first)):
-            out[first + lane, -2], out[first + lane, -1] = work[KNOWN + lane], work[KNOWN_SELF + lane]
+            out[first + lane, -2], out[first + lane, -1] = work[ALL_WITH_NEW + lane], work[ALL_WITH_SELF + lane]
 
 
 @njit(error_model="numpy", inline="always")
@@ -280,12 +280,14 @@ def _about_zero(work, lane, turn, variance):  # type: ignore[no-untyped-def]
 
     From the left: the squares alone may overflow.
     """
-    before = 1.0 + variance * work[KNOWN_SELF + lane]
-    gain = work[KNOWN + lane] * (work[KNOWN + lane] / before)
-    work[KNOWN + lane] += work[WITH_NEW + lane] - turn * work[ALONG + lane] * work[WITH_TURN + lane]
-    work[KNOWN_SELF + lane] += work[WITH_SELF + lane] - turn * work[WITH_TURN + lane] * work[WITH_TURN + lane]
-    after = 1.0 + variance * work[KNOWN_SELF + lane]
-    return 0.5 * (variance * (work[KNOWN + lane] * (work[KNOWN + lane] / after) - gain) - math.log(after / before))
+    before = 1.0 + variance * work[ALL_WITH_SELF + lane]
+    gain = work[ALL_WITH_NEW + lane] * (work[ALL_WITH_NEW + lane] / before)
+    work[ALL_WITH_NEW + lane] += work[WITH_NEW + lane] - turn * work[ALONG + lane] * work[WITH_TURN + lane]
+    work[ALL_WITH_SELF + lane] += work[WITH_SELF + lane] - turn * work[WITH_TURN + lane] * work[WITH_TURN + lane]
+    after = 1.0 + variance * work[ALL_WITH_SELF + lane]
+    return 0.5 * (
+        variance * (work[ALL_WITH_NEW + lane] * (work[ALL_WITH_NEW + lane] / after) - gain) - math.log(after / before)
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -296,7 +298,7 @@ def _load(lines, factors, work, residual, slope, table, scales, first):  # type:
         j = min(first + lane, m - 1)
         work[WHITE + lane], work[SLOW + lane] = scales[j, 0], scales[j, 1]
         work[STATE + lane], work[VARIANCE + lane] = 0.0, scales[j, 1]
-        work[ZERO + lane] = work[KNOWN + lane] = work[KNOWN_SELF + lane] = 0.0
+        work[ZERO + lane] = work[ALL_WITH_NEW + lane] = work[ALL_WITH_SELF + lane] = 0.0
         for c in range(table.shape[1]):
             for q in range(5):
                 factors[(c * 5 + q) * LANES + lane] = table[j, c, q]

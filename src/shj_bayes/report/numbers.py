@@ -312,10 +312,10 @@ def left_over(device: DeviceData, folder: Path | None = None) -> LeftOver:
     capacity = max(abs(float(np.median(device.draws["Fy"]))), 1e-12)
     widening = device.record.cycles.widening
     return LeftOver(
-        100.0 * float(np.sqrt(max(rms**2 - short**2, 0.0))) / capacity,
-        sum(max(0, cycle_marks(run).size - 1) for run in device.runs),
-        max(widening.values(), default=1.0),
-        _diagnosed(device, folder) if folder else "",
+        unexplained_percent=100.0 * float(np.sqrt(max(rms**2 - short**2, 0.0))) / capacity,
+        n_cycles=sum(max(0, cycle_marks(run).size - 1) for run in device.runs),
+        widening=max(widening.values(), default=1.0),
+        diagnosed=_diagnosed(device, folder) if folder else "",
     )
 
 
