@@ -234,16 +234,16 @@ def diagnose(
     tell("weighing what was found")
     shown = proven(out, tell)
     out, answer = shown.out, shown.answer
-    models = _models(shown, seed)
+    law, before, after = _models(shown, seed)
     if sample is None or look.quick:
-        draws: content.Draws = models.draws_after
+        draws: content.Draws = after
         how = Sampled(how="Gaussian around the most probable parameters (first look)", verdict=Trust.TENTATIVE)
     else:
         tell("sampling the posterior")
         draws, how = sample(answer.shown.state.model, answer.shown.state.z)
     record = DiagnosisRecord(
         device=look.name,
-        **_said(shown, models, draws),
+        **_said(shown, law, before, draws),
         channels=content.further(runs),
         next_test=content.next_test(shown, quick=look.quick),
         seed=seed,
@@ -263,17 +263,11 @@ def diagnose(
     return DiagnosisResult(record, content.channels(shown.fine, shown.before, shown.after))
 
 
-@dataclass(frozen=True, eq=False)
-class _Models:
-    """The base law under noise of its own, and what is known of the parameters."""
+def _models(shown: Proven, seed: int) -> tuple[Laplace, content.Draws, content.Draws]:
+    """Fit the base law under noise of its own, all that it leaves, in the blocks of the search.
 
-    law: Laplace  # the base law under noise of its own, all that it leaves, in the blocks of the search
-    draws_before: content.Draws  # of the base law under noise of its own
-    draws_after: content.Draws  # of the model that was found, beside what it leaves out: `missed`
-
-
-def _models(shown: Proven, seed: int) -> _Models:
-    """Fit the base law alone, and count what an answer leaves out."""
+    Behind it draws of its parameters, and of those of the model that was found, beside what it leaves out (`missed`).
+    """
     out, answer, fine = shown.out, shown.answer, shown.fine
     base, setting = out.found[frozenset()].state, out.metric.setting
     alone = find_noise(out.data, base, np.zeros((base.residual.size, 0)), setting)
@@ -282,18 +276,18 @@ def _models(shown: Proven, seed: int) -> _Models:
     draws = content.draws_of(first, seed)
     if not answer.findings:
         wide = beside_missed(fine, under, first, (), tuple(out.fitter.classes.values()))
-        return _Models(law, draws, content.draws_of(wide, seed))
+        return law, draws, content.draws_of(wide, seed)
     others = tuple(one for name, one in out.fitter.classes.items() if name not in answer.shown.key)
     sizes = [(f.member, f.size) for f in answer.findings]
     wide = beside_missed(fine, ErrorModel(fine, setting, shown.after.slope), shown.after, sizes, others)
-    return _Models(law, draws, content.draws_of(wide, seed))
+    return law, draws, content.draws_of(wide, seed)
 
 
-def _said(shown: Proven, models: _Models, draws: content.Draws) -> dict[str, Any]:
-    """Give what a search found, as fields of the record."""
+def _said(shown: Proven, law: Laplace, before: content.Draws, draws: content.Draws) -> dict[str, Any]:
+    """Give what a search found, as fields of the record; `law` and `before` as of `_models`."""
     out, answer, fine, both = shown.out, shown.answer, shown.fine, (shown.before, shown.after)
     noise = float(np.sqrt(np.mean(shown.after.residual[fine.used > 0] ** 2)))
-    regions = regions_of(out.data, ErrorModel(out.data, out.metric.setting, models.law.slope), models.law)
+    regions = regions_of(out.data, ErrorModel(out.data, out.metric.setting, law.slope), law)
     return {
         "verdict": answer.verdict,
         "reason": answer.reason.value,
@@ -310,7 +304,7 @@ def _said(shown: Proven, models: _Models, draws: content.Draws) -> dict[str, Any
         "before": content.quality(fine, shown.before, noise, shown.held[0]),
         "after": content.quality(fine, shown.after, noise, shown.held[1]),
         "heldout": content.heldout(shown),
-        "shift": content.shift(models.draws_before, draws),
+        "shift": content.shift(before, draws),
         "aliases": tuple(aliases_of(out.data)),
         "candidates": content.candidates(shown),
         "energy": content.energy(fine, *both),
