@@ -109,7 +109,7 @@ def test_two_classes_agree_with_brute_force(evidence):
 
 def test_weak_in_each_and_certain_in_eight():
     assert not any(one.enters for one in common_to([device((1.2, -1.0, 0.2))])[0])
-    shared, combinations = common_to([device((1.2, -1.0, 0.2))] * 8)
+    shared, _ = common_to([device((1.2, -1.0, 0.2))] * 8)
     a, b = (next(one for one in shared if str(one.id) == name) for name in (A, B))
     assert a.probability > 0.95
     assert a.enters
@@ -120,7 +120,7 @@ def test_weak_in_each_and_certain_in_eight():
 
 
 def test_one_device_in_eight_is_not_its_set():
-    shared, combinations = common_to([device((300.0, 0.0, 300.0), own=(A,)), *[device((-3.0, -1.0, -4.0))] * 7])
+    shared, _ = common_to([device((300.0, 0.0, 300.0), own=(A,)), *[device((-3.0, -1.0, -4.0))] * 7])
     a = next(one for one in shared if str(one.id) == A)
     assert a.probability < 0.5
     assert a.holders == (0,)
@@ -128,7 +128,7 @@ def test_one_device_in_eight_is_not_its_set():
 
 
 def test_two_words_for_one_thing_are_not_counted_twice():
-    shared, combinations = common_to([device((4.0, 3.9, 4.0))] * 8)
+    shared, _ = common_to([device((4.0, 3.9, 4.0))] * 8)
     a, b = (next(one for one in shared if str(one.id) == name) for name in (A, B))
     assert a.probability + b.probability == pytest.approx(1.0, abs=0.1)
     assert a.enters
@@ -137,7 +137,7 @@ def test_two_words_for_one_thing_are_not_counted_twice():
 
 
 def test_what_is_too_small_to_be_followed_does_not_enter():
-    shared, combinations = common_to([device((3.0, -1.0, 2.0), sizes={A: 0.3, B: 2.0})] * 8)
+    shared, _ = common_to([device((3.0, -1.0, 2.0), sizes={A: 0.3, B: 2.0})] * 8)
     a = next(one for one in shared if str(one.id) == A)
     assert a.probability > 0.95
     assert not a.enters
