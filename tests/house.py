@@ -18,11 +18,11 @@ SRC = ROOT / "src" / "shj_bayes"
 RESULTS = re.compile(r"\b(fit|diagnosis|campaign|population|summary|residual)\.json\b|\b(posterior|diagnosis)\.nc\b")
 READS = re.compile(r"\b(read_json|open_dataset|open_group|InferenceData|from_netcdf|json\.loads?)\(")
 LIMITS = {
-    "lines": 38_735,
+    "lines": 38_730,
     "files": 173,
     "dataclasses": 202,
     "class names that exist twice": 0,
-    "methods of the largest class": 29,
+    "methods of the largest class": 28,
     "modules that open a result file": 2,
     "layers of the import contract": 13,
     "modules in circles of imports": 0,

@@ -59,14 +59,9 @@ class BinnedData:
         return self.device.law_values(self.z)["Fy"]
 
     @cached_property
-    def largest_kN(self) -> float:
-        """Largest measured force (99th percentile), kN."""
-        return float(np.percentile(np.abs(self.measured_kN[self.used > 0]), 99))
-
-    @property
     def noise_most_kN(self) -> float:
-        """Largest standard deviation that the noise of a load cell may have, kN."""
-        return NOISE_MOST * self.largest_kN
+        """Largest standard deviation that the noise of a load cell may have, kN: of the largest force measured."""
+        return NOISE_MOST * float(np.percentile(np.abs(self.measured_kN[self.used > 0]), 99))
 
     @cached_property
     def base(self) -> Base:
