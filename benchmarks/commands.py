@@ -22,7 +22,7 @@ from shj_bayes._util.files import shipped
 
 PYTHON = (sys.executable, "-P")
 COMMAND = (*PYTHON, "-m", "shj_bayes")
-IMPORTS = "import shj_bayes.app.device, shj_bayes.report.device_pictures"  # what a fit loads before it begins
+IMPORTS = "import shj_bayes.app.device, shj_bayes.report.figures.device"  # what a fit loads before it begins
 LEAST_SQUARES, COLUMNS = 60_000, 100  # rows and unknowns of the reference work
 DEMO = str(shipped("data", "examples", "campaign.toml"))
 MADE = {  # name, and words of `simulate`: two runs of Table 1, 24 000 samples and 1.2 million rows of the same noise

@@ -27,9 +27,10 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.errors import ShjError
-from shj_bayes.inference.run import runs_of
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch import search
 from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.mismatch.moves import LAST_MOVES
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions
@@ -43,7 +44,8 @@ from shj_validation.proof.summary import RIGHT_OUTCOMES
 from shj_validation.proof.truth import truth_of
 
 BUILD = Path(__file__).resolve().parents[1] / "build" / "develop"
-MOVES = ("try_constant", "replace_by_formula", "drop_one", "swap_one", "split_curve", "follow_bends", "refit_noise")
+LAST = {move.__name__: move for move in LAST_MOVES}
+MOVES = ("try_constant", "replace_by_formula", "drop_one", "follow_bends", "refit_noise", *LAST)
 KEPT = ("verdict", "reason", "coordinates", "effects", "family", "before", "after")
 
 
@@ -85,6 +87,7 @@ def main() -> None:
     words += [f"seed{arguments.seed}", *(f"without-{move}" for move in arguments.without)]
     for move in arguments.without:
         setattr(search, move, lambda out, *_, **__: out)
+    setattr(search, "LAST_MOVES", tuple(move for name, move in LAST.items() if name not in arguments.without))  # noqa: B010
     BUILD.mkdir(parents=True, exist_ok=True)
     rows = []
     with (BUILD / ("-".join(str(word) for word in words if word is not None) + ".jsonl")).open("a") as file:

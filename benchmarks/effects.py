@@ -12,9 +12,8 @@ import numpy as np
 from devices import device
 from timing import best
 
-from shj_bayes.model.augmented import force_with_effects
-from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Base, Effect
+from shj_bayes.model.device import force_with_effects
+from shj_bayes.model.effects.effect import Base, Effect, catalogue
 from shj_bayes.model.law import force
 
 BASE = Base(18.0, 80.0, 10.0, 1 / 60, 80.0)

@@ -18,7 +18,7 @@ from typing import Any
 
 from shj_bayes._util.files import write_text
 from shj_bayes.errors import ShjError
-from shj_bayes.inference.run import runs_of
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors

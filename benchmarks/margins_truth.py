@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 from one_set import draws_of_one_set, level_and_spread
 
+from shj_bayes.inference.binning import Run, runs_of
 from shj_bayes.inference.posterior import make_posterior
-from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.start import _best_noise as best_noise
 from shj_bayes.inference.start import _covariance as curvature
 from shj_bayes.inference.start import descend, find_start, law_residual
@@ -44,9 +44,8 @@ from shj_bayes.margins.basis import (
     sliding_force_bounds,
 )
 from shj_bayes.margins.codes.code import Given, catalogue
-from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen
-from shj_bayes.margins.spread import Sample, common_spread, of_set
+from shj_bayes.margins.spread import HIGH, LOW, Sample, common_spread, of_set
 from shj_bayes.margins.uses import OneSet, of_many
 from shj_bayes.margins.virtual_test import (
     LEAST_ERROR,

@@ -16,7 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
 
-from shj_bayes.inference.run import runs_of
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.diagnosis import DiagnosisResult, diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors

@@ -22,9 +22,9 @@ from numpy_posterior import around
 from numpyro.infer import MCMC, NUTS, init_to_median
 from numpyro.infer.util import log_density
 
+from shj_bayes.inference.binning import Run
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.posterior import Posterior
-from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import Prior, read_priors
@@ -152,7 +152,7 @@ def main() -> int:
     ours = fit(make_runs(asked.seed), DeviceModel(2, read_priors("afc")), plan=SamplingPlan(seed=asked.seed))
     posterior = ours.posterior
     draws = np.stack([ours.data["posterior"][name].to_numpy().ravel() for name in posterior.names], axis=1)
-    whole = posterior.refined(draws.mean(axis=0), longest_s=0.0).rougher(0.0)
+    whole = posterior.refined(draws.mean(axis=0), longest_s=0.0).with_noise_at_rest(0.0)
     some = draws[:: draws.shape[0] // 20]
     apart, exact = same_density(whole, some, dense=False), same_density(whole, some, dense=True)
     print(f"log densities differ by one constant to {apart:.1e} at 20 points")

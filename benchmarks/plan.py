@@ -29,9 +29,9 @@ import numpy as np
 from scipy.stats import binomtest
 
 from shj_bayes.errors import ShjError
-from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.classes import ALPHA
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.mismatch.hypothesis import ALPHA
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions

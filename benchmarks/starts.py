@@ -15,8 +15,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.fit import fit
-from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel

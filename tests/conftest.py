@@ -8,10 +8,10 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from shj_bayes.app import campaign
+from shj_bayes.inference.binning import Run
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.run import Run
 from shj_bayes.model.device import DeviceModel, effects_named
-from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
+from shj_bayes.model.noise.noise import DEFAULT, noise_model
 from shj_bayes.model.parameters import base_and_run
 from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device

@@ -18,13 +18,13 @@ SRC = ROOT / "src" / "shj_bayes"
 RESULTS = re.compile(r"\b(fit|diagnosis|campaign|population|summary|residual)\.json\b|\b(posterior|diagnosis)\.nc\b")
 READS = re.compile(r"\b(read_json|open_dataset|open_group|InferenceData|from_netcdf|json\.loads?)\(")
 LIMITS = {
-    "lines": 36_710,
-    "files": 187,
-    "dataclasses": 197,
+    "lines": 38_777,
+    "files": 173,
+    "dataclasses": 202,
     "class names that exist twice": 0,
-    "methods of the largest class": 29,
+    "methods of the largest class": 28,
     "modules that open a result file": 2,
-    "layers of the import contract": 12,
+    "layers of the import contract": 13,
     "modules in circles of imports": 0,
 }
 

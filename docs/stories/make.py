@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from shj_bayes.inference.run import runs_of
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.diagnosis import DiagnosisResult, diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors

@@ -14,11 +14,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.coordinates import coordinates
 from shj_bayes.model.curve import ACTIONS
-from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import FAMILIES, Base, Effect
+from shj_bayes.model.device import force_with_effects
+from shj_bayes.model.effects.effect import FAMILIES, Base, Effect, catalogue
 from shj_bayes.model.history import ARRAYS, History, histories
 from shj_bayes.model.law import force
 from shj_bayes.recording.motion import Block, exact_motion

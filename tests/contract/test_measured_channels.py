@@ -9,11 +9,11 @@ from scipy.ndimage import gaussian_filter1d
 
 import shj_bayes
 from shj_bayes.errors import ModelError
-from shj_bayes.inference.run import runs_of
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.margins.history import measured_channels
 from shj_bayes.margins.specimen import read_specimen
-from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.curve import Curve
+from shj_bayes.model.device import force_with_effects
 from shj_bayes.model.effects.effect import Base, Contribution
 from shj_bayes.model.history import histories
 from shj_bayes.planning.protocol import Rig, table_1_protocol

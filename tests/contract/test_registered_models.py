@@ -2,7 +2,6 @@
 
 import pickle
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,12 +11,20 @@ from shj_bayes.inference.predictive import draw_noise, force_at_points, points_o
 from shj_bayes.inference.start import find_start
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.filter import Timing, log_density, simulate
 from shj_bayes.model.law import BETA_RANGE, VARIANTS, force_of_laws
-from shj_bayes.model.noise.catalogue import noise_model, noise_models
-from shj_bayes.model.noise.filter import Timing, log_density, simulate
-from shj_bayes.model.noise.noise import Noise, gaussian
-from shj_bayes.model.parameters import BASE, LAW_PARAMETERS, NOISE_PARAMETERS, SHAREABLE, Parameter
-from shj_bayes.model.priors import Prior, read_priors
+from shj_bayes.model.noise import noise
+from shj_bayes.model.noise.noise import (
+    SIGMA,
+    Noise,
+    NoiseParameter,
+    gaussian,
+    noise_model,
+    noise_models,
+    noise_parameters,
+)
+from shj_bayes.model.parameters import LAW_PARAMETERS, SHAREABLE, base_parameters
+from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.motion import exact_motion, table_1
 
@@ -186,26 +193,28 @@ class TestNoise:
 
 
 def test_registries_and_descriptions_agree() -> None:
-    assert {name for noise in noise_models().values() for name in noise.parameters} == set(NOISE_PARAMETERS)
-    assert set(NOISE_PARAMETERS) | set(LAW_PARAMETERS) == set(BASE)
+    assert {name for one in noise_models().values() for name in one.parameters} == set(noise_parameters())
+    assert set(noise_parameters()) | set(LAW_PARAMETERS) == set(base_parameters())
 
 
-def test_a_noise_parameter_that_no_search_names_begins_at_its_prior(
-    small_device: Posterior, monkeypatch: pytest.MonkeyPatch
+def test_a_noise_model_brings_its_own_parameter(
+    small_device: Posterior, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
-    """A new parameter needs no value in the searches for the most probable parameters, of a fit and of a diagnosis."""
-    share = Parameter("share", "1", "white part of the variance")
-    for table in (NOISE_PARAMETERS, BASE):
-        monkeypatch.setitem(table, "share", share)
-    noise = Noise(
+    """It names unit, meaning and prior itself; the searches of a fit and of a diagnosis need no value to begin at."""
+    law = ("uniform", 0.0, 1.0, "Nothing assumed.")
+    share = NoiseParameter("share", "1", "white part of the variance", prior=law, bounds=(0.0, 1.0))
+    model = Noise(
         "shared",
-        ("sigma", "share"),
+        (SIGMA, share),
         parts=lambda v: gaussian(v["sigma"] * np.sqrt(v["share"]), v["sigma"] * np.sqrt(1.0 - v["share"])),
         decay=lambda v, seconds, step_s: np.exp(-np.repeat(seconds[:, None], v["sigma"].size, axis=1)),
     )
-    priors = read_priors("afc")
-    laws = priors.priors | {"share": Prior("share", "1", "uniform", 0.0, 1.0, "Nothing assumed.")}
-    device = DeviceModel(2, replace(priors, priors=laws), noise=noise)
+    known = {**noise_models(), "shared": model}
+    monkeypatch.setattr(noise, "noise_models", lambda: known)
+    for names in (noise_parameters, base_parameters):
+        names.cache_clear()
+        request.addfinalizer(names.cache_clear)
+    device = DeviceModel(2, read_priors("afc"), noise=model)
     posterior, start = find_start(make_posterior(small_device.runs, device))
     values = dict(zip(posterior.names, posterior.natural(start.free[None])[0], strict=True))
     assert values["sigma"] == pytest.approx(1.0, rel=0.3)  # the root of 0.8^2 + 0.6^2

@@ -14,8 +14,8 @@ import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
 from shj_bayes._util.files import shipped
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.fit import fit
-from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors

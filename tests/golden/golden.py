@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes.inference.run import runs_of
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors

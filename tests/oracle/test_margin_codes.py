@@ -21,8 +21,7 @@ from shj_bayes.margins.basis import (
 from shj_bayes.margins.codes import asce7, en15129, nz
 from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.codes.iso16269_6 import one_sided, two_sided
-from shj_bayes.margins.row import HIGH, LOW
-from shj_bayes.margins.spread import Sample, between_sets, of_set
+from shj_bayes.margins.spread import HIGH, LOW, Sample, between_sets, of_set
 from shj_bayes.options import PLAIN, MarginOptions
 from shj_bayes.population.predict import NewDevice
 

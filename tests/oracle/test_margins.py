@@ -11,9 +11,8 @@ from shj_bayes.margins.basis import Bounds
 from shj_bayes.margins.codes import asce7, en1990, en15129, iso16269_6, nz
 from shj_bayes.margins.export import SHARPEST, exponent_of_steel02, wen_exponent
 from shj_bayes.margins.history import sine
-from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import drive
-from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Sample, Spread, limit, sd_of_log, variation_of_log
+from shj_bayes.margins.spread import HIGH, LOGNORMAL, LOW, NORMAL, Sample, Spread, limit, sd_of_log, variation_of_log
 from shj_bayes.margins.virtual_test import of_readings, read_off
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import histories

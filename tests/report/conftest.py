@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from shj_bayes.inference.binning import Run
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.simulate import Truth
 from shj_bayes.recording.motion import Block

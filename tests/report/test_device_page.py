@@ -16,11 +16,10 @@ from page_tools import Page, check_safe, folded, read_old
 from shj_bayes.app.resume import device_text
 from shj_bayes.errors import ShjError
 from shj_bayes.report.device import badges, content, render_device
-from shj_bayes.report.device_pictures import draw as draw_page
 from shj_bayes.report.figures import canvas
-from shj_bayes.report.force_unit import ForceUnit, force_unit
+from shj_bayes.report.figures.device import draw as draw_page
 from shj_bayes.report.numbers import left_over, numbers_of
-from shj_bayes.report.words import CONVERGENCE, rounded
+from shj_bayes.report.words import CONVERGENCE, ForceUnit, force_unit, rounded
 from shj_bayes.results.device import read_device
 from shj_bayes.results.diagnosis import LeftOver
 from shj_bayes.results.fit import Remark, RemarkRecord, Trust

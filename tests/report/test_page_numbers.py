@@ -10,9 +10,9 @@ import pytest
 
 from shj_bayes.model.law import force, work_between
 from shj_bayes.recording.motion import Block, exact_motion, one_peak_speed
-from shj_bayes.report import numbers, sets_page, words
+from shj_bayes.report import campaign, numbers, words
 from shj_bayes.report.device import freed_words
-from shj_bayes.report.figures import loops
+from shj_bayes.report.figures import device as loops
 from shj_bayes.results.device import RunData
 
 K, FY, AMPLITUDE = 20.0, 80.0, 40.0
@@ -185,6 +185,6 @@ def test_the_key_of_the_energy_picture_has_room_for_every_run(elastoplastic: Run
 )
 def test_sets_of_few_devices_are_counted_in_english(counts: tuple[int, ...], tail: str) -> None:
     result = SimpleNamespace(sets=[SimpleNamespace(devices=range(n)) for n in counts])
-    text = sets_page._few(result)
+    text = campaign._few(result)
     assert tail in text
     assert ("sets here" in text) == bool(tail)

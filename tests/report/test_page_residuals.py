@@ -12,8 +12,7 @@ from scipy.signal import lfilter
 
 from shj_bayes.app.resume import device_text
 from shj_bayes.report import words
-from shj_bayes.report.binned import N_STROKE, stroke_profiles
-from shj_bayes.report.numbers import left_over
+from shj_bayes.report.numbers import N_STROKE, left_over, stroke_profiles
 from shj_bayes.results.device import DeviceData, RunData
 from shj_bayes.results.diagnosis import DiagnosisVerdict, Input, LeftOver
 from shj_bayes.results.fit import CyclesRecord, FitRecord, Remark, RemarkRecord, Trust

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import ShjError
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.posterior import make_posterior
-from shj_bayes.inference.run import runs_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.reader import read

@@ -78,7 +78,7 @@ def test_only_our_own_processes_leave_the_current_folder_out(monkeypatch):
 
 
 SETTINGS = """
-import shj_bayes.model.kernel, matplotlib, numba, os
+import shj_bayes.model.law, matplotlib, numba, os
 from shj_bayes.inference.quiet_arviz import az
 numba.njit(lambda x: x + 1)(1)
 print(os.getcwd(), matplotlib.rcParams["text.usetex"], az.rcParams["data.save_warmup"], repr(numba.config.CACHE_DIR))

@@ -7,9 +7,8 @@ import pytest
 
 from shj_bayes.app.campaign import run_campaign, summarise_campaign
 from shj_bayes.app.manifest import read_manifest
-from shj_bayes.model.augmented import force_with_effects
-from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.device import force_with_effects
+from shj_bayes.model.effects.effect import Base, catalogue
 from shj_bayes.model.history import histories
 from shj_bayes.recording.motion import Block, exact_motion
 from shj_bayes.recording.recording import Recording, write_csv

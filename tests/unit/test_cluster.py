@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 import shj_bayes
-from shj_bayes._util import tasks
+from shj_bayes._util import processes as pool
 from shj_bayes.app.campaign import fit_one, run_campaign
 from shj_bayes.app.manifest import Manifest, read_manifest
 from shj_bayes.cli import main
@@ -90,7 +90,7 @@ def test_only_what_kills_its_process_twice_has_no_result(again, tmp_path):
     flag, die = f"__import__('pathlib').Path({str(tmp_path / 'flag')!r})", "__import__('os')._exit(3)"
     deadly = die if again else f"7 if {flag}.exists() else ({flag}.touch(), {die})"
     items = ["1 + 1", deadly, "2 + 2", "3 + 3", "4 + 4"]
-    found = {item: (result, reason) for item, result, reason in tasks.results_here(2, eval, items)}
+    found = {item: (result, reason) for item, result, reason in pool.results_here(2, eval, items)}
     assert [found[item][0] for item in items] == [2, None if again else 7, 4, 6, 8]
     assert [item for item in items if found[item][1]] == [deadly] * again
 
@@ -140,7 +140,7 @@ def test_workers_that_cannot_do_it_are_named(processes, scheduler, manifest, tmp
     with distributed.Client(scheduler_file=str(scheduler), set_as_default=False) as client:
         client.wait_for_workers(1, timeout=PATIENCE_S)
         with pytest.raises(CampaignError, match="does not see the folder"):
-            tasks._check_workers(client, "here", tmp_path / "elsewhere")
+            pool._check_workers(client, "here", tmp_path / "elsewhere")
     monkeypatch.setattr(shj_bayes, "__version__", "99.0")
     with pytest.raises(CampaignError, match=r"has shj-bayes .*, this is 99\.0"):
         run_campaign(manifest, tmp_path / "out", cluster=str(scheduler))
@@ -148,7 +148,7 @@ def test_workers_that_cannot_do_it_are_named(processes, scheduler, manifest, tmp
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x", "no-such-file.json"])
 def test_an_address_that_does_not_answer_is_said(address, manifest, tmp_path, monkeypatch):
-    monkeypatch.setattr(tasks, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(pool, "PATIENCE_S", 0.5)
     with pytest.raises(CampaignError) as error:
         run_campaign(manifest, tmp_path / "out", cluster=address)
     assert address in str(error.value)
@@ -157,7 +157,7 @@ def test_an_address_that_does_not_answer_is_said(address, manifest, tmp_path, mo
 
 @pytest.mark.parametrize("kind", ["silent", "pipe", "no address"])
 def test_what_never_answers_is_left_after_the_deadline(kind, manifest, tmp_path, monkeypatch):
-    monkeypatch.setattr(tasks, "PATIENCE_S", 1)
+    monkeypatch.setattr(pool, "PATIENCE_S", 1)
     path = tmp_path / "s.json"
     with socket.create_server(("127.0.0.1", 0)) as server:
         if kind == "pipe":

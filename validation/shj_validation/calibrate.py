@@ -39,14 +39,14 @@ from tqdm import tqdm
 
 from shj_bayes._util.files import write_text
 from shj_bayes.errors import ShjError
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.convergence import judge
 from shj_bayes.inference.posterior import Density, Posterior, make_posterior
-from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.law import force
-from shj_bayes.model.noise.catalogue import DEFAULT, noise_model
+from shj_bayes.model.noise.noise import DEFAULT, noise_model
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.motion import Block, exact_motion, table_1

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.errors import ShjError
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.fit import fit
-from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel, effects_named
+from shj_bayes.model.filter import simulate
 from shj_bayes.model.history import histories
-from shj_bayes.model.noise.catalogue import noise_model
-from shj_bayes.model.noise.filter import simulate
+from shj_bayes.model.noise.noise import noise_model
 from shj_bayes.model.parameters import LAW_PARAMETERS, base_and_run
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.motion import Block, exact_motion, table_1

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from shj_bayes.model.augmented import force_with_effects
-from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Base, Contribution, Effect
+from shj_bayes.model.device import force_with_effects
+from shj_bayes.model.effects.effect import Base, Contribution, Effect, catalogue
 from shj_bayes.model.history import History, histories
 from shj_bayes.recording.motion import exact_motion, table_1
 from shj_bayes.recording.recording import Recording

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
+FloatArray = NDArray[np.float64]
+
 
 def frozen(values: ArrayLike, kind: type[np.generic] = np.float64) -> NDArray[Any]:
     """Array that nobody can change: a copy, unless nobody can change this one (a law with a delay makes many)."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from tqdm import tqdm
 
 from shj_bayes._util.files import alone_in, make_writable, shipped
-from shj_bayes._util.tasks import results_here, results_on
+from shj_bayes._util.processes import results_here, results_on
 from shj_bayes.app.manifest import Device, Manifest
 from shj_bayes.app.resume import MARGINS, PAGE, POPULATION, CommandResult, campaign_inputs, kept_result
 from shj_bayes.errors import CampaignError, ShjError, did_you_mean, shown, words_of

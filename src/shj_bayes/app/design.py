@@ -31,7 +31,6 @@ from shj_bayes.margins.export import (
 )
 from shj_bayes.margins.files import CHOSEN, Tests, design_table, kept_pool, write_margins, write_workbook
 from shj_bayes.margins.history import LEEWAY, LoadingHistory, left_out_words, loading_history, untested
-from shj_bayes.margins.row import BANDS, SPREAD, TESTING, TOLERANCE
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins
 from shj_bayes.margins.specimen import (
     Specimen,
@@ -41,6 +40,7 @@ from shj_bayes.margins.specimen import (
     specimens_of_table,
     words_of,
 )
+from shj_bayes.margins.spread import BANDS, SPREAD, TESTING, TOLERANCE
 from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.options import MarginOptions
 from shj_bayes.planning.protocol import Protocol, ProtocolBlock

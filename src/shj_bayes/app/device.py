@@ -27,14 +27,14 @@ from shj_bayes.app.resume import (
     priors_of,
 )
 from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, plain_lines, plain_text
+from shj_bayes.inference.binning import Run, runs_of
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.posterior import make_posterior
-from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan
 from shj_bayes.inference.start import find_start
 from shj_bayes.inference.store import versions
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.parameters import BASE, FloatArray, describe
+from shj_bayes.model.parameters import FloatArray, base_parameters
 from shj_bayes.model.priors import read_priors, shipped_families
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.options import DiagnoseOptions, FitOptions
@@ -300,6 +300,7 @@ def write_simulated(
         write_csv(stem.with_name(f"{stem.name}-run{run}.csv"), recording, comment=words)
         for run, recording in enumerate(recordings, start=1)
     ]
+    known = base_parameters()
     content = {
         "schema": "shj-bayes/truth/1",
         "simulated": True,
@@ -308,7 +309,7 @@ def write_simulated(
         "rate_Hz": rate_Hz,
         "blocks": [asdict(block) for block in blocks],
         "truth": asdict(truth),
-        "units": {name: describe(name).unit for name in asdict(truth) if name in BASE},
+        "units": {name: known[name].unit for name in asdict(truth) if name in known},
     }
     path = stem.with_name(f"{stem.name}.json")
     write_text(path, json.dumps(content, indent=1))

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import shj_bayes
 from shj_bayes._util.files import damage_told, file_digest, need_population, plain_name, shipped
 from shj_bayes.errors import InferenceError, PopulationError, PriorError, did_you_mean
-from shj_bayes.model.parameters import BASE, base_of
+from shj_bayes.model.parameters import base_of, base_parameters
 from shj_bayes.options import PLAIN, FitOptions, MarginOptions
 from shj_bayes.recording.reader import by_ending
 from shj_bayes.recording.recording import Finding, Recording
 from shj_bayes.report import words
-from shj_bayes.report.force_unit import force_unit
+from shj_bayes.report.words import force_unit
 from shj_bayes.results.campaign import CampaignRecord, read_campaign
 from shj_bayes.results.codec import to_json
 from shj_bayes.results.diagnosis import LeftOver
@@ -102,7 +102,7 @@ def key_of(
     """
     # Of a prior file its name and digest count, not where it lies: the folder may be reached by another path.
     chosen = {**options, "priors": Path(options["priors"]).name, "effects": sorted(options["effects"])}
-    content = [list(digests), chosen, priors_sha256, name, speed, shj_bayes.__version__, sorted(BASE)]
+    content = [list(digests), chosen, priors_sha256, name, speed, shj_bayes.__version__, sorted(base_parameters())]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -20,7 +20,7 @@ from shj_bayes.app.manifest import Device, read_manifest
 from shj_bayes.app.plan import plan_next
 from shj_bayes.app.resume import POPULATION, design_margins, kept_result, priors_of
 from shj_bayes.errors import CampaignError, RecordingError, ShjError, shown
-from shj_bayes.inference.run import runs_of
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.options import FitOptions, MarginOptions, PlanOptions
 from shj_bayes.planning.identifiability import first_answer
 from shj_bayes.recording.motion import Motion, motion_of
@@ -30,8 +30,8 @@ from shj_bayes.recording.runs import describe, settle, to_dict
 from shj_bayes.report import words
 from shj_bayes.report.browse import recording_viewer
 from shj_bayes.report.check_words import check_lines, confusion_rows, doubt_lines, parameter_rows
-from shj_bayes.report.force_unit import force_unit
 from shj_bayes.report.margins_page import shown_cards
+from shj_bayes.report.words import force_unit
 from shj_bayes.results.campaign import CampaignRecord
 from shj_bayes.results.diagnosis import DiagnosisRecord, LeftOver
 from shj_bayes.results.fit import FitRecord

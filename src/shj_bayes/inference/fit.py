@@ -17,15 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.inference import store
-from shj_bayes.inference.convergence import Diagnostics, FitVerdict, judge, pareto_k
+from shj_bayes.inference.binning import Run
+from shj_bayes.inference.convergence import Diagnostics, FitVerdict, Widening, judge, pareto_k, widening_of
 from shj_bayes.inference.posterior import Posterior, SharedDensity, make_posterior, n_threads
-from shj_bayes.inference.robust import Widening, widening_of
-from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start, root_of
 from shj_bayes.inference.store import remarks_of
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.noise.filter import whiten
+from shj_bayes.model.filter import whiten
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.fit import FitRecord, Trust
 from shj_bayes.results.store import CHECKPOINT, Group

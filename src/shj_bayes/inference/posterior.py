@@ -15,12 +15,10 @@ import numpy as np
 
 import shj_bayes
 from shj_bayes.errors import InferenceError, PriorError
-from shj_bayes.inference.binning import BinnedRun, reduce_runs
-from shj_bayes.inference.run import Run, histories_of
+from shj_bayes.inference.binning import BinnedRun, Run, histories_of, reduce_runs
 from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.filter import LANES, log_density, sd_over_speed, slowness
 from shj_bayes.model.history import History
-from shj_bayes.model.noise.filter import LANES, log_density
-from shj_bayes.model.noise.low_speed import rougher, slowness
 from shj_bayes.model.parameters import FloatArray, base_of
 
 
@@ -62,7 +60,7 @@ class Posterior:
     runs: tuple[Run, ...]  # consecutive runs
     model: DeviceModel  # what is believed of the device
     averages: tuple[BinnedRun, ...]  # the runs in blocks
-    at_rest: float = 0.0  # logarithm of the white noise at rest over that at speed; see `rougher`
+    at_rest: float = 0.0  # logarithm of the white noise at rest over that at speed; see `filter.sd_over_speed`
 
     def __post_init__(self) -> None:
         """Check that the parts fit together and that the priors can hold the data."""
@@ -110,9 +108,9 @@ class Posterior:
             return np.asarray(self.model.force(still, history, start_force_kN)[0])
 
         averages = reduce_runs(self.runs, force_at, longest_s=longest_s, coarser=coarser)
-        return replace(self, averages=averages).rougher(self.at_rest)
+        return replace(self, averages=averages).with_noise_at_rest(self.at_rest)
 
-    def rougher(self, at_rest: float) -> Posterior:
+    def with_noise_at_rest(self, at_rest: float) -> Posterior:
         """Give the same posterior with white noise whose standard deviation is exp(at_rest) times larger at rest."""
         to = replace(self, at_rest=at_rest)
         rough = [part.mean(to.rough(part.history)) for part in self.averages]
@@ -121,7 +119,7 @@ class Posterior:
 
     def rough(self, history: History) -> FloatArray:
         """Give the variance of the white noise over that at speed, at the points of a history, shape (n_points,)."""
-        return rougher(self.at_rest, slowness(history.speed_mm_s, history.peak_speed_mm_s)) ** 2
+        return sd_over_speed(self.at_rest, slowness(history.speed_mm_s, history.peak_speed_mm_s)) ** 2
 
     def residual_and_slope(self, theta: FloatArray, run: int) -> tuple[FloatArray, FloatArray]:
         """Measured less modelled force of each block of a run, and the slope of the latter, shape (m, n_blocks)."""

@@ -9,13 +9,11 @@ import numpy as np
 from scipy.optimize import brentq, least_squares, minimize, minimize_scalar
 
 from shj_bayes.errors import InferenceError
-from shj_bayes.inference.binning import BinnedRun
+from shj_bayes.inference.binning import BinnedRun, Run
 from shj_bayes.inference.posterior import Density, Posterior, SharedDensity, n_threads
-from shj_bayes.inference.run import Run
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect
-from shj_bayes.model.noise.filter import log_density
-from shj_bayes.model.noise.low_speed import ROUGHER
+from shj_bayes.model.filter import AT_REST_SD, log_density
 from shj_bayes.model.parameters import FloatArray, base_and_run
 
 STEP = 1e-4  # of the standardised free parameter; small against any posterior, large against rounding
@@ -187,7 +185,7 @@ def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatAr
     with ThreadPoolExecutor(n) as pool:
         full = [_best_noise(refined, z) for z in candidates]
         even = polish(SharedDensity(refined, pool, n), full)
-        refined, z = _roughened(refined, even.free)
+        refined, z = _with_best_noise_at_rest(refined, even.free)
         return refined, polish(SharedDensity(refined, pool, n), [z])
 
 
@@ -288,25 +286,16 @@ def _best_noise(posterior: Posterior, z: FloatArray) -> FloatArray:
     """Complete law parameters with the most probable noise parameters of a grid around the size of the residual."""
     model = posterior.model
     size = max(float(np.std(law_residual(posterior, z))), 1e-9)
-    grids = {
-        "sigma": np.array([0.5, 1.0, 2.0]) * size,
-        "sigma_white": np.array([0.3, 1.0, 3.0, 10.0]) * size,
-        "sigma_slow": np.array([0.05, 0.4, 1.0]) * size,
-        "tau_slow": np.array([0.2, 1.0, 5.0, 30.0]),
-        "phi": np.array([-0.3, 0.3, 0.8, 0.98]),
-        "nu": np.array([4.0, 30.0]),
-    }
-    own = dict(zip(model.names[model.n_law :], model.laws_of_parameters[model.n_law :], strict=True))
-    rows = np.array(
-        list(
-            product(*([float(law.to_free(v)) for v in grids.get(n, law.quantile(QUARTILES))] for n, law in own.items()))
-        )
-    )
+    grids = []
+    for own, law in zip(model.noise.own, model.laws_of_parameters[model.n_law :], strict=True):
+        values = np.array(own.in_fit) * (size if own.unit == "kN" else 1.0) if own.in_fit else law.quantile(QUARTILES)
+        grids.append([float(law.to_free(value)) for value in values])
+    rows = np.array(list(product(*grids)))
     points = np.concatenate([np.tile(z, (rows.shape[0], 1)), np.clip(rows, -8.0, 8.0)], axis=1)
     return np.asarray(points[int(np.argmax(posterior.log_posterior_free(points)))])
 
 
-def _roughened(posterior: Posterior, z: FloatArray) -> tuple[Posterior, FloatArray]:
+def _with_best_noise_at_rest(posterior: Posterior, z: FloatArray) -> tuple[Posterior, FloatArray]:
     """Give the posterior its most probable `at_rest`, and `z`, shape (d,), the noise beside it; the law stays.
 
     The widths of the law's parameters depend on it in the second order only, so it is not sampled (decision 0010).
@@ -317,12 +306,12 @@ def _roughened(posterior: Posterior, z: FloatArray) -> tuple[Posterior, FloatArr
 
     def negative(u: FloatArray) -> float:
         noise = model.noise_values(model.natural(np.append(z[: model.n_law], u[:-1])[None]))
-        parts = zip(held, posterior.rougher(ROUGHER * float(u[-1])).averages, strict=True)
+        parts = zip(held, posterior.with_noise_at_rest(AT_REST_SD * float(u[-1])).averages, strict=True)
         likely = [log_density(model.noise, noise, *pair, part.timing).sum() for pair, part in parts]
         return 0.5 * float(u @ u) - float(np.sum(likely))
 
     found = most_probable_noise(negative, [np.append(z[model.n_law :], 0.0)], 8.0)
-    return posterior.rougher(ROUGHER * float(found[-1])), np.append(z[: model.n_law], found[:-1])
+    return posterior.with_noise_at_rest(AT_REST_SD * float(found[-1])), np.append(z[: model.n_law], found[:-1])
 
 
 def most_probable_noise(

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 import shj_bayes
 from shj_bayes._util.files import file_digest, replacing, reserve, write_text
+from shj_bayes.inference.binning import Run, measured_of
 from shj_bayes.inference.posterior import Posterior
 from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of, zero_of_run
-from shj_bayes.inference.run import Run, measured_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.codec import from_json, to_json
@@ -47,8 +47,7 @@ from shj_bayes.results.fit import (
 from shj_bayes.results.store import CHECKPOINT, FILES, Group, write, write_netcdf
 
 if TYPE_CHECKING:
-    from shj_bayes.inference.convergence import Diagnostics, FitVerdict
-    from shj_bayes.inference.robust import Widening
+    from shj_bayes.inference.convergence import Diagnostics, FitVerdict, Widening
 
 
 UNDETERMINED = 0.6  # of the prior's width: the data took less than half of the uncertainty away

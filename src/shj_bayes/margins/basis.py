@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE
+from shj_bayes.margins.spread import HIGH, LOW, MIDDLE
 from shj_bayes.model.parameters import base_of
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.predict import NewDevice, new_device

@@ -33,7 +33,7 @@ from shj_bayes.margins.basis import (
     sliding_force_bounds,
     tested_devices,
 )
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE
+from shj_bayes.margins.spread import HIGH, LOW, MIDDLE
 from shj_bayes.margins.virtual_test import VirtualTestResult
 from shj_bayes.model.law import BETA_RANGE, work_between
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult

@@ -25,23 +25,21 @@ from shj_bayes.margins.basis import (
 )
 from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.history import LoadingHistory, channel_words, published_factors
-from shj_bayes.margins.row import (
+from shj_bayes.margins.spread import (
     BANDS,
     DESIGN,
     FACTORS,
     HIGH,
     LOW,
     MIDDLE,
+    MORE,
+    NOT_NORMAL,
     SPREAD,
     TESTING,
     TOLERANCE,
     USE,
     Key,
     Margin,
-)
-from shj_bayes.margins.spread import (
-    MORE,
-    NOT_NORMAL,
     Sample,
     between_sets,
     common_spread,

@@ -1,22 +1,79 @@
-"""Samples of devices, and the ways to come by the spread between them."""
+"""A margin: its value, where it comes from, what it is for; samples of devices, and the spread between them."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import fdtrc
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.population.hierarchy import DeviceSet
 from shj_bayes.population.quantities import FloatArray, quantity
 
-KNOWN, UNKNOWN, COMMON, BETWEEN = "V known", "V unknown", "V common", "V between sets"
+BANDS, TESTING, TOLERANCE, FACTORS = "new device", "EN 1990", "tolerance", "factor"
+DESIGN, SPREAD, USE = "design", "spread", "use"
+LOW, MIDDLE, HIGH = "low", "middle", "high"
+Key = tuple[str, str, str, str]
+"""Set, quantity, kind, side."""
+V_KNOWN, V_UNKNOWN, V_COMMON, V_BETWEEN = "V known", "V unknown", "V common", "V between sets"
 SIGNS = {LOW: -1, HIGH: 1}
 NORMAL, LOGNORMAL = "normal", "lognormal"
 NOT_NORMAL = "not above zero: the normal law does not suit so wide a spread; use the lognormal value"
 _FLOORED = "the devices agree to the printed digits: the spread is that of rounding"
+
+
+class Origin(NamedTuple):
+    """Where a margin comes from."""
+
+    clause: str
+    formula: str  # in words and signs
+    inputs: str  # the numbers put into it
+    purpose: str  # what it is for
+    note: str = ""  # what to mind
+    warning: str = ""  # a few words that belong into the same cell as the value wherever it is shown
+
+
+@dataclass(frozen=True)
+class Margin:
+    """A margin of one set in one quantity."""
+
+    set_name: str  # the set, or "(any set)" for one never tested
+    # a design quantity (lowest, highest, least, most, plateau, third, energy; ``_2`` and so on for later runs), ratio,
+    # degradation, K; or force, for what bounds the force of all runs
+    quantity: str
+    method: str  # design, use, new device, EN 1990, tolerance, factor or spread
+    kind: str  # what it is, in a few words
+    side: str  # "low", "middle", "high": which side of the typical value it bounds
+    value: float  # the number; NaN where it cannot be given, with the reason in ``note``
+    unit: str  # its unit, "1" for none
+    n_devices: int  # devices of the set (of all sets for one never tested)
+    # degrees of freedom of the spread; infinity where it is taken as known; NaN where the notion does not apply
+    degrees: float
+    # clause to purpose: clause, formula in words and signs, the numbers put into it, and what it is for
+    clause: str
+    formula: str
+    inputs: str
+    purpose: str
+    note: str = ""  # what to mind
+    warning: str = ""  # a few words that belong into the same cell as the value wherever it is shown; empty for none
+    # standard error of the value from the number of draws, in its unit
+    monte_carlo_error: float = field(default=0.0, kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Refuse a number without origin."""
+        if self.side not in (LOW, MIDDLE, HIGH):
+            raise PopulationError(f"a margin is low, middle or high, not {self.side!r}")
+        if not (self.clause and self.formula and self.purpose and self.unit):
+            raise PopulationError(
+                f"the margin {self.kind!r} of {self.quantity} lacks a clause, formula, unit or purpose"
+            )
+
+    @property
+    def key(self) -> Key:
+        """What it is found by."""
+        return self.set_name, self.quantity, self.kind, self.side
 
 
 @dataclass(frozen=True)
@@ -140,7 +197,7 @@ def known(sample: Sample, variation: float, reason: str) -> Spread:
     note = ""
     if sample.n > 1 and sample.variation > variation:
         note = f"these devices spread more than the V stated: {sample.variation:.3f} against {variation:g}"
-    return Spread(KNOWN, sd_of_log(variation), variation, math.inf, sample.n, f"stated, because: {reason}", note)
+    return Spread(V_KNOWN, sd_of_log(variation), variation, math.inf, sample.n, f"stated, because: {reason}", note)
 
 
 def of_set(sample: Sample, common: tuple[float, int], warning: str = "") -> tuple[Spread, ...]:
@@ -150,11 +207,11 @@ def of_set(sample: Sample, common: tuple[float, int], warning: str = "") -> tupl
         notes = [_FLOORED] if sample.sd_log <= sample.floor else []
         notes += ["two devices hardly tell a spread; use V common"] if sample.n == 2 else []
         known_to = (sample.sd_log, sample.variation, sample.n - 1, sample.n)
-        out.append(Spread(UNKNOWN, *known_to, "these devices alone", "; ".join(notes)))
+        out.append(Spread(V_UNKNOWN, *known_to, "these devices alone", "; ".join(notes)))
     sd, degrees = common
     if degrees:
         origin = "all sets together, each about its mean"
-        out.append(Spread(COMMON, sd, variation_of_log(sd), degrees, sample.n, origin, warning, warning))
+        out.append(Spread(V_COMMON, sd, variation_of_log(sd), degrees, sample.n, origin, warning, warning))
     return tuple(out)
 
 
@@ -182,7 +239,7 @@ def between_sets(of_sets: Sequence[Sample]) -> tuple[Sample, tuple[Spread, ...]]
     sd = math.sqrt(total)
     origin = f"{sample.n} set means and the devices about them ({harmonic:.3g} a set)"
     return sample, (
-        Spread(BETWEEN, sd, variation_of_log(sd), nu, sample.n * total / between if between else math.inf, origin),
+        Spread(V_BETWEEN, sd, variation_of_log(sd), nu, sample.n * total / between if between else math.inf, origin),
     )
 
 

@@ -16,8 +16,8 @@ from scipy.integrate import trapezoid
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.history import LoadCase, LoadingHistory, MeasuredChannel, allowed, load_cases, measured_channels
-from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.specimen import Belief, Specimen, drive
+from shj_bayes.margins.spread import HIGH, LOW
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray, base_of, run_name
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
@@ -382,14 +382,14 @@ def _result(
         # In its own test that is the measured value, of which no model is unsure.
         ours = [1.0 if carried or course.speed_mm_s is not None else 0.0 for course in courses]
         factor = float(np.exp(gap.get(q, 0.0)))
-        brought = [(x * factor, own * sd) for (x, sd), own in zip(best, ours, strict=True)] if q in gap else []
+        corrected = [(x * factor, own * sd) for (x, sd), own in zip(best, ours, strict=True)] if q in gap else []
         if q in (LOWEST, HIGHEST):
             ends = [float(np.median(by_course[course][0][q])) for course in courses if course.speed_mm_s is None]
             apart = max(apart, max(ends) / max(min(ends), 1e-9)) if len(laws) > 1 else 1.0
         if side:
-            values[q], sd = (min if side == LOW else max)([*(one for models in typical for one in models), *brought])
+            values[q], sd = (min if side == LOW else max)([*(one for models in typical for one in models), *corrected])
         else:
-            values[q], sd = (float(x) for x in np.median(brought or best, axis=0))
+            values[q], sd = (float(x) for x in np.median(corrected or best, axis=0))
         reading = noise / np.sqrt(max(shares.get(base_of(q), 1), 1))
         errors[q] = max(float(np.hypot(sd, reading)), LEAST_ERROR)
     stiffness = np.log(belief.theta[:, belief.model.index("K")])

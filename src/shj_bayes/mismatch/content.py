@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes.inference.run import Run, further_of, measured_of
+from shj_bayes.inference.binning import Run, further_of, measured_of
 from shj_bayes.mismatch.data import BinnedData
 from shj_bayes.mismatch.findings import Answer, FoundEffect, Reason, curve_band, rivals_of
 from shj_bayes.mismatch.heldout import PARTS, HeldOut, Proven, cycles_of
@@ -16,8 +16,7 @@ from shj_bayes.mismatch.moves import LARGEST_OF, Search
 from shj_bayes.mismatch.periodic import EQUATION, SHOWS, STATEMENT, SURE, Chatter
 from shj_bayes.mismatch.regions import WORDS, run_of
 from shj_bayes.model.curve import Curve
-from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Effect
+from shj_bayes.model.effects.effect import Effect, catalogue
 from shj_bayes.model.history import Measured, coordinate_of
 from shj_bayes.model.parameters import LAW_PARAMETERS, FloatArray, base_and_run
 from shj_bayes.results.diagnosis import (

@@ -16,17 +16,16 @@ from functools import cached_property
 
 import numpy as np
 
+from shj_bayes.inference.binning import Run
 from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import STEP, law_starts, started
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.filter import AT_REST_SD, LOG_2PI, Timing, sd_over_speed, slowness, whiten
 from shj_bayes.model.history import Measured
 from shj_bayes.model.law import force_of_laws, masing_force
-from shj_bayes.model.noise.filter import LOG_2PI, Timing, whiten
-from shj_bayes.model.noise.low_speed import ROUGHER, rougher, slowness
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.recording import BoolArray
 
@@ -60,14 +59,9 @@ class BinnedData:
         return self.device.law_values(self.z)["Fy"]
 
     @cached_property
-    def largest_kN(self) -> float:
-        """Largest measured force (99th percentile), kN."""
-        return float(np.percentile(np.abs(self.measured_kN[self.used > 0]), 99))
-
-    @property
     def noise_most_kN(self) -> float:
-        """Largest standard deviation that the noise of a load cell may have, kN."""
-        return NOISE_MOST * self.largest_kN
+        """Largest standard deviation that the noise of a load cell may have, kN: of the largest force measured."""
+        return NOISE_MOST * float(np.percentile(np.abs(self.measured_kN[self.used > 0]), 99))
 
     @cached_property
     def base(self) -> Base:
@@ -264,7 +258,9 @@ class ErrorParameters:
     def log_prior(self, data: BinnedData) -> float:
         """Log prior density, but for a constant."""
         relative = self.model_error_kN / (MODEL_ERROR * data.scale_kN)
-        return math.log(relative) - 0.5 * (float(np.dot(self.z, self.z)) + relative**2 + (self.at_rest / ROUGHER) ** 2)
+        return math.log(relative) - 0.5 * (
+            float(np.dot(self.z, self.z)) + relative**2 + (self.at_rest / AT_REST_SD) ** 2
+        )
 
     def sizes(self, data: BinnedData) -> FloatArray:
         """Size before the test of each column of `BinnedData.missed`, shape (p + 1 + 2 n_runs,)."""
@@ -277,7 +273,7 @@ class ErrorParameters:
         `slope`, shape (n,), is that of the modelled force in each block, through which the error of the displacement
         acts, kN/mm.
         """
-        values, more = self.values(data), rougher(self.at_rest, data.slow)
+        values, more = self.values(data), sd_over_speed(self.at_rest, data.slow)
         out, total, first = [], 0.0, 0
         for part, timing in zip(data.posterior.averages, data.timings, strict=True):
             own = slice(first, first + part.n)

@@ -9,11 +9,14 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import expit, logsumexp, softmax
 
-from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT, Candidate, Dependence
 from shj_bayes.mismatch.fitter import Fitter
 from shj_bayes.mismatch.hypothesis import (
+    ALPHA,
+    MIN_EFFECT,
     MOTION,
     SLIP,
+    Candidate,
+    Dependence,
     Hypothesis,
     columns_of,
     force_distance,
@@ -28,7 +31,7 @@ from shj_bayes.mismatch.hypothesis import (
 from shj_bayes.mismatch.laplace import Laplace, visible
 from shj_bayes.mismatch.moves import Search, beside_direction, following
 from shj_bayes.mismatch.screen import missed_by, screen
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import NOTHING_MISSING, SIGMA_90, DiagnosisVerdict
 

@@ -9,15 +9,25 @@ from itertools import product
 import numpy as np
 
 from shj_bayes.inference.start import start_values
-from shj_bayes.mismatch.classes import FORMS, LOG_PRIOR_ODDS, Candidate, Dependence, Parametrisation, size_weights
 from shj_bayes.mismatch.data import BinnedData, ErrorModel, ErrorParameters
-from shj_bayes.mismatch.hypothesis import Hypothesis, columns_of, same_twice, without
+from shj_bayes.mismatch.hypothesis import (
+    FORMS,
+    LOG_PRIOR_ODDS,
+    Candidate,
+    Dependence,
+    Hypothesis,
+    Parametrisation,
+    columns_of,
+    same_twice,
+    size_weights,
+    without,
+)
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace
 from shj_bayes.mismatch.periodic import follows_cycles, is_over_a_clock, waves
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.parameters import FloatArray
 
 WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
@@ -190,8 +200,9 @@ def noise_beside(
 
 def noise_of_size(device: DeviceModel, size_kN: float) -> tuple[float, ...]:
     """Noise parameters to begin with, unbounded: the size of a residual in every part."""
-    rough = {"sigma": size_kN, "sigma_white": size_kN, "sigma_slow": size_kN, "tau_slow": 3.0, "phi": 0.5, "nu": 10.0}
-    return tuple(
-        float(np.clip(law.to_free(np.asarray(rough.get(law.name, law.quantile(0.5)))), -7.0, 7.0))
-        for law in device.laws_of_parameters[device.n_law :]
-    )
+    values = []
+    for own, law in zip(device.noise.own, device.laws_of_parameters[device.n_law :], strict=True):
+        unit = size_kN if own.unit == "kN" else 1.0
+        value = law.quantile(0.5) if own.typical is None else np.asarray(own.typical * unit)
+        values.append(float(np.clip(law.to_free(value), -7.0, 7.0)))
+    return tuple(values)

@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes.inference.robust import cycles_through
-from shj_bayes.mismatch.classes import ALPHA
+from shj_bayes.inference.convergence import cycles_through
 from shj_bayes.mismatch.data import BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.findings import Answer, Reason, answer_of
-from shj_bayes.mismatch.hypothesis import Hypothesis, without
+from shj_bayes.mismatch.hypothesis import ALPHA, Hypothesis, without
 from shj_bayes.mismatch.laplace import Laplace, laplace, laplace_under
 from shj_bayes.mismatch.moves import Search
 from shj_bayes.model.parameters import FloatArray

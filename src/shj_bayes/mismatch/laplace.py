@@ -13,7 +13,6 @@ from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorModel, ErrorPa
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.model.priors import Prior
 
 Z_LIMIT = 12.0
 ROUNDS = 40
@@ -187,17 +186,12 @@ def find_noise(
             return math.inf
 
     if start is None:
-        grids = [[float(np.clip(law.to_free(np.asarray(v)), -7, 7)) for v in _grid(law, data)] for law in laws]
+        grids = []
+        for own, law in zip(data.device.noise.own, laws, strict=True):
+            values = np.array(own.in_diagnosis) * (data.scale_kN if own.unit == "kN" else 1.0)
+            values = values if own.in_diagnosis else law.quantile(np.array([0.5]))
+            grids.append(np.clip(law.to_free(values), -7, 7).tolist())
         firsts = [np.array([*point, 0.0, 0.0]) for point in product(*grids)]
     else:
         firsts = [np.array([*start.z, math.log(start.model_error_kN / unit), start.at_rest])]
     return setting(most_probable_noise(negative, firsts, np.append(np.full(firsts[0].size - 2, 8.0), [6.0, 4.0])))
-
-
-def _grid(law: Prior, data: BinnedData) -> tuple[float, ...]:
-    """Values of a noise parameter to begin with; the median of its prior where none are known."""
-    shares = {"sigma": (0.003, 0.01), "sigma_white": (0.003, 0.01), "sigma_slow": (0.002, 0.01)}
-    if law.name in shares:
-        return tuple(share * data.scale_kN for share in shares[law.name])
-    known = {"tau_slow": (0.5, 5.0), "phi": (0.1, 0.8), "nu": (5.0,)}
-    return known.get(law.name) or (float(law.quantile(0.5)),)

@@ -9,15 +9,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from shj_bayes.mismatch.classes import EXPLAINED, LOG_PRIOR_ODDS, MIN_EFFECT, Candidate, Dependence, candidates
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.fitter import Fitter, noise_beside
 from shj_bayes.mismatch.hypothesis import (
     CONSTANT,
     DIRECTION,
     DISTANCE,
+    EXPLAINED,
+    LOG_PRIOR_ODDS,
+    MIN_EFFECT,
     MOTION,
+    Candidate,
+    Dependence,
     Hypothesis,
+    candidates,
     columns_of,
     force_distance,
     is_curve,
@@ -306,8 +311,11 @@ def split_curve(search: Search) -> Search:
 
     A smooth curve over one coordinate can do what formulas over two others, or a formula over its own and something
     over another, do together. Neither alone comes near it, so a search that adds one after another ends in it. What
-    is no better than more noise is not explained, nor one of as many classes as a hypothesis may hold.
+    is no better than more noise is not explained, nor one of as many classes as a hypothesis may hold, nor any while
+    the noise is capped.
     """
+    if search.metric.is_capped:
+        return search
     for place, member in enumerate(search.best.members):
         h = search.best
         is_there = place < len(h.members) and h.members[place] is member
@@ -400,3 +408,7 @@ def _again(search: Search, h: Hypothesis) -> Search:
         if near or not one.members or one.key == h.key:
             search = search.add(one.members, one.state.z)
     return search
+
+
+# Tried in this order where one class more makes nothing better; another move is one more function of a search.
+LAST_MOVES: tuple[Callable[[Search], Search], ...] = (split_curve, swap_one)

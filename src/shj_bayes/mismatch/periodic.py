@@ -11,7 +11,8 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.special import ndtri
 
 from shj_bayes.inference.gaussian import log_gains
-from shj_bayes.mismatch.classes import (
+from shj_bayes.mismatch.data import AVERAGED_S, BinnedData, ErrorModel
+from shj_bayes.mismatch.hypothesis import (
     EXPLAINED,
     FORMS,
     Candidate,
@@ -20,13 +21,12 @@ from shj_bayes.mismatch.classes import (
     candidates,
     size_weights,
 )
-from shj_bayes.mismatch.data import AVERAGED_S, BinnedData, ErrorModel
 from shj_bayes.mismatch.laplace import Laplace, laplace_under
 from shj_bayes.mismatch.screen import beside_law, screen
 from shj_bayes.model.coordinates import Coordinate, coordinates, coordinates_of
 from shj_bayes.model.curve import PERIODS_PER_UNIT, SIZES, Curve
 from shj_bayes.model.effects.effect import Effect, Values
-from shj_bayes.model.noise.low_speed import ROUGHER
+from shj_bayes.model.filter import AT_REST_SD
 from shj_bayes.model.parameters import FloatArray
 
 PER_STROKE = 8  # places at which a stroke is looked at
@@ -323,7 +323,9 @@ TOGETHER = 8  # readings in a row that must scatter: a jump of the force is none
 # also holds for readings in steps. That of teeth is larger yet, that of what a model misses negative.
 ALTERNATE, MEAN = 1.482, 4.0
 SURE = 0.99  # probability with which what is called chatter is no noise
-ROUGHEST = math.exp(float(ndtri(SURE)) * ROUGHER)  # of noise at low speed over that at speed, with that probability
+MOST_AT_REST = math.exp(
+    float(ndtri(SURE)) * AT_REST_SD
+)  # of noise at low speed over that at speed, with that probability
 SLIDING, ELASTIC = 0.9, 0.6  # of the largest force of the law alone: above it slides, below it is elastic
 LEAST = 0.05  # of the sliding time: less is no chatter
 FEWEST_STROKES = 2  # that chatter: what happens once says nothing of the next stroke
@@ -403,7 +405,7 @@ def _at_scale(
     if slides.sum() < TOGETHER or rests.sum() < TOGETHER:
         return None
     quiet = max(float(np.mean(np.concatenate(products)[rests])), 0.0) / MEAN
-    loud = np.concatenate(local)[slides] > ALTERNATE * max(most_kN**2, ROUGHEST**2 * quiet)
+    loud = np.concatenate(local)[slides] > ALTERNATE * max(most_kN**2, MOST_AT_REST**2 * quiet)
     distance, of = np.concatenate(away)[slides] / scale_kN, np.concatenate(stroke)[slides]
     largest = np.zeros(len(half_cycles))
     np.maximum.at(largest, of[loud], distance[loud])

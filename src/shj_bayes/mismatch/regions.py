@@ -10,7 +10,7 @@ from shj_bayes.inference.start import extended, orthogonal_to
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.laplace import Laplace
 from shj_bayes.model.coordinates import coordinate_named
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import Alias, Location
 

@@ -7,7 +7,8 @@ import numpy as np
 from scipy.special import expit
 
 from shj_bayes.inference.gaussian import Gaussian, log_gains
-from shj_bayes.mismatch.classes import (
+from shj_bayes.mismatch.data import BinnedData, ErrorModel
+from shj_bayes.mismatch.hypothesis import (
     EXPLAINED,
     LOG_PRIOR_ODDS,
     Candidate,
@@ -17,7 +18,6 @@ from shj_bayes.mismatch.classes import (
     sized,
     unit_columns,
 )
-from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.laplace import Laplace
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.parameters import FloatArray

@@ -7,15 +7,30 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtr
 
-from shj_bayes.mismatch.classes import ALPHA, EXPLAINED, MIN_EFFECT, Dependence, Parametrisation, candidates
 from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorParameters
 from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
-from shj_bayes.mismatch.hypothesis import CONSTANT, MOTION, TEETH, TIME, TRAVEL, Hypothesis, replaced, without
+from shj_bayes.mismatch.hypothesis import (
+    ALPHA,
+    CONSTANT,
+    EXPLAINED,
+    MIN_EFFECT,
+    MOTION,
+    TEETH,
+    TIME,
+    TRAVEL,
+    Dependence,
+    Hypothesis,
+    Parametrisation,
+    candidates,
+    replaced,
+    without,
+)
 from shj_bayes.mismatch.laplace import laplace_under, zero_of
 from shj_bayes.mismatch.moves import (
     BEAM,
     DEPTH,
     FOLLOWED,
+    LAST_MOVES,
     RIVAL,
     Search,
     add_one,
@@ -30,8 +45,6 @@ from shj_bayes.mismatch.moves import (
     near_to,
     refit_noise,
     replace_by_formula,
-    split_curve,
-    swap_one,
     try_constant,
 )
 from shj_bayes.mismatch.periodic import (
@@ -93,9 +106,9 @@ def search(
         out = look_for(out, tuple(classes))
         out = deepen_from(out, len(out.best.members))
     out = detect_chatter(out)
-    if not out.metric.is_capped:
-        out = split_curve(out)
-    return detect_chatter(finish(swap_one(out)))
+    for move in LAST_MOVES:
+        out = move(out)
+    return detect_chatter(finish(out))
 
 
 def deepen_from(out: Search, first: int) -> Search:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from shj_bayes.errors import InferenceError, ReportError
-from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT, PRIOR_INCLUSION
+from shj_bayes.mismatch.hypothesis import ALPHA, MIN_EFFECT, PRIOR_INCLUSION
 from shj_bayes.mismatch.moves import PROMISING
 from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.model.parameters import FloatArray
@@ -75,14 +75,6 @@ class DeviceEvidence:
         if not has.any():
             return 0.0
         return float(logsumexp(weights[has]) - logsumexp(weights[~has]))
-
-
-@dataclass(frozen=True)
-class Common:
-    """What devices have in common."""
-
-    shared: tuple[SharedDependence, ...]  # every class, most probable first
-    combinations: tuple[tuple[Combination, float], ...]  # what the set has, with probabilities, most probable first
 
 
 def log_shared(log_factors: FloatArray) -> tuple[float, float]:
@@ -168,8 +160,13 @@ class _Weighing:
         return np.asarray(each @ np.exp(logs - logsumexp(logs)))
 
 
-def common_to(devices: Sequence[DeviceEvidence]) -> Common:
-    """Find what the devices of a set, or of a campaign, have in common; see the module for the model."""
+def common_to(
+    devices: Sequence[DeviceEvidence],
+) -> tuple[tuple[SharedDependence, ...], tuple[tuple[Combination, float], ...]]:
+    """Find what the devices of a set, or of a campaign, have in common; see the module for the model.
+
+    Gives every class, and the combinations of them that the set may have with their probabilities, most probable first.
+    """
     out = _Weighing(devices)
     best = out.grow()
     names = sorted(out.weights, key=lambda key: (-out.weights[key], sorted(key)))
@@ -204,7 +201,7 @@ def common_to(devices: Sequence[DeviceEvidence]) -> Common:
         large = bool(sizes) and float(np.mean(sizes)) >= 100.0 * PROMISING * MIN_EFFECT
         shared.append(replace(one, enters=sure and large))
     order = sorted(shared, key=lambda one: (-one.probability, str(one.id)))
-    return Common(tuple(order), tuple(likely))
+    return tuple(order), tuple(likely)
 
 
 def _rivals(listed: Iterable[tuple[Combination, float]], best: Combination, name: str) -> tuple[str, ...]:
@@ -237,7 +234,7 @@ class Together:
 
     set_name: str  # the set; empty for all devices of the campaign
     devices: tuple[DiagnosedDevice, ...]  # its diagnosed devices
-    common: Common  # what they have in common
+    shared: tuple[SharedDependence, ...]  # every class, most probable first
 
     @property
     def effects(self) -> dict[str, tuple[str, ...]]:
@@ -247,7 +244,7 @@ class Together:
         """
         out = {}
         for place, device in enumerate(self.devices):
-            entering = [one for one in self.common.shared if one.enters and place in one.holders]
+            entering = [one for one in self.shared if one.enters and place in one.holders]
             found = [one for one in entering if one.alone[place]]
             added = tuple(one.effects[place] for one in entering if not one.alone[place] and one.effects[place])
             if added or (not device.sampled and found):
@@ -267,7 +264,7 @@ class Together:
                 probability=round(one.probability, DIGITS),
                 of_devices=tuple(round(p, DIGITS) for p in one.of_devices),
             )
-            for one in self.common.shared
+            for one in self.shared
         )
         return SetTogether(set=self.set_name, devices=tuple(d.folder for d in self.devices), classes=classes)
 
@@ -283,7 +280,7 @@ def together(devices: Iterable[tuple[str, DiagnosedDevice]]) -> tuple[Together, 
     groups: list[tuple[str, Sequence[DiagnosedDevice]]] = list(by_set.items())
     if len(groups) > 1:
         groups.append(("", [device for _, own in groups for device in own]))
-    return tuple(Together(name, tuple(own), common_to([d.evidence for d in own])) for name, own in groups)
+    return tuple(Together(name, tuple(own), common_to([d.evidence for d in own])[0]) for name, own in groups)
 
 
 def read_diagnosed(place: Path, folder: str) -> DiagnosedDevice:

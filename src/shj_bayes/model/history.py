@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from shj_bayes._util.arrays import freeze, frozen
 from shj_bayes.errors import ModelError
-from shj_bayes.model.kernel import NEAR_TURNING, ROWS, SLOWING, course_of, fill_between
+from shj_bayes.model.law import NEAR_TURNING, ROWS, SLOWING, course_of, fill_between
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.smoothing import Channel

@@ -14,7 +14,8 @@ from scipy.special import ndtr, ndtri
 from shj_bayes._util.files import read_toml, shipped
 from shj_bayes.errors import PriorError, did_you_mean, shown
 from shj_bayes.model.law import BETA_RANGE
-from shj_bayes.model.parameters import BASE, FloatArray, base_and_run, describe
+from shj_bayes.model.noise.noise import noise_parameters
+from shj_bayes.model.parameters import FloatArray, base_and_run, base_parameters, describe
 
 SCHEMA = "shj-bayes/priors/1"
 LAWS = {
@@ -24,8 +25,8 @@ LAWS = {
     "uniform": ("low", "high"),
     "loguniform": ("low", "high"),
 }
-# Where the law and the noise exist (above 0 for all others); a prior with mass beyond stops a fit half-way.
-ALLOWED = {"beta": BETA_RANGE, "gamma": (-np.inf, np.inf), "phi": (-1.0, 1.0)}
+# Where the law exists (above 0 for all others); a prior with mass beyond stops a fit half-way.
+ALLOWED = {"beta": BETA_RANGE, "gamma": (-np.inf, np.inf)}
 MIN_NUMBER = 1e-30  # of what is not 0; the inverse of a smaller one overflows, and 1e-320 has four digits left
 MAX_NUMBER = 1e30  # squares and ratios of two such numbers still fit into a double
 FREE_EDGE = 8.0  # normal quantile at which the upper end of a law is still told from 1 in double precision
@@ -153,9 +154,6 @@ class Prior:
         return (np.log(self.a), np.log(self.b)) if self.law == "loguniform" else (self.a, self.b)
 
 
-TAU_SLOW = Prior("tau_slow", "s", "lognormal", 3.0, 1.0, "As in the shipped families, where a file holds none.")
-
-
 @dataclass(frozen=True)
 class Priors:
     """Priors of one device family."""
@@ -179,8 +177,9 @@ class Priors:
             return self.priors[base]
         if base in ("sigma_white", "sigma_slow") and "sigma" in self.priors:
             return replace(self.priors["sigma"], name=base)
-        if base == "tau_slow":
-            return TAU_SLOW
+        noise = noise_parameters().get(base)
+        if noise is not None and noise.prior is not None:
+            return Prior(noise.name, noise.unit, *noise.prior)
         raise PriorError(f"priors '{self.family}' hold no law for {name}; add a table [{base}] to the file")
 
 
@@ -201,7 +200,9 @@ def read_priors(which: str | Path = "afc") -> Priors:
     table, digest = read_toml(path, SCHEMA, 1_000_000, PriorError)
     laws = {name: _prior(path.name, name, entry) for name, entry in table.items() if isinstance(entry, dict)}
     if not laws:
-        raise PriorError(f"{path.name} holds no law; add a table such as [K] for each of {', '.join(BASE)}")
+        raise PriorError(
+            f"{path.name} holds no law; add a table such as [K] for each of {', '.join(base_parameters())}"
+        )
     return Priors(str(table.get("family", path.stem)), str(table.get("statement", "")), laws, digest)
 
 
@@ -212,8 +213,10 @@ def shipped_families() -> list[str]:
 
 def _prior(file: str, name: str, entry: dict[str, Any]) -> Prior:
     """One table of a prior file."""
-    if name not in BASE:
-        raise PriorError(f"{file}: [{name}] is not a parameter; known are {', '.join(BASE)}{did_you_mean(name, BASE)}")
+    known = base_parameters()
+    if name not in known:
+        hint = did_you_mean(name, known)
+        raise PriorError(f"{file}: [{name}] is not a parameter; known are {', '.join(known)}{hint}")
     law = str(entry.get("law"))
     if law not in LAWS:
         raise PriorError(f"{file}: [{name}] law = {entry.get('law')!r}; choose one of {', '.join(LAWS)}")
@@ -246,7 +249,8 @@ def _prior(file: str, name: str, entry: dict[str, Any]) -> Prior:
     except PriorError as error:
         raise PriorError(f"{file}: {error}") from error
     low, high = prior.support
-    least, most = ALLOWED.get(name, (0.0, np.inf))
+    noise = noise_parameters().get(name)
+    least, most = noise.bounds if noise else ALLOWED.get(name, (0.0, np.inf))
     if low < least or high > most:
         raise PriorError(
             f"{file}: [{name}] a {law} law from {low:g} to {high:g} leaves the allowed {least:g} to {most:g} {unit}; "

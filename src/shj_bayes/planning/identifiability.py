@@ -13,15 +13,15 @@ from typing import Literal
 import numpy as np
 
 from shj_bayes.errors import InferenceError, PopulationError
+from shj_bayes.inference.binning import Run
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import Start, find_start, root_of
 from shj_bayes.inference.store import remarks_of
 from shj_bayes.margins.virtual_test import counted_from, of_readings, read_off
 from shj_bayes.mismatch.data import data_of
 from shj_bayes.mismatch.regions import aliases_of
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import one_peak_speed
 from shj_bayes.results.diagnosis import Alias

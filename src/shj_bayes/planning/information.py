@@ -105,13 +105,13 @@ def expected_information(
     truth = np.repeat(of_key, n)
     sd = None if quantity is None else math.sqrt(chance @ spread_of(p, np.array(values).T, np.array(variances)))
     return ExpectedInformation(
-        float(chance @ entropy_of(by_key)),
-        float(chance @ by_key[np.arange(truth.size), truth]),
-        float(chance @ (by_key.argmax(axis=1) == truth)),
-        sd,
-        force_kN,
-        _separation(known, evidence.reshape(len(rivals), n, len(rivals))),
-        float(np.percentile(np.abs(misread[data.used > 0]), 99)),
+        entropy=float(chance @ entropy_of(by_key)),
+        of_truth=float(chance @ by_key[np.arange(truth.size), truth]),
+        right=float(chance @ (by_key.argmax(axis=1) == truth)),
+        sd=sd,
+        force_kN=force_kN,
+        separation=_separation(known, evidence.reshape(len(rivals), n, len(rivals))),
+        misread_kN=float(np.percentile(np.abs(misread[data.used > 0]), 99)),
     )
 
 

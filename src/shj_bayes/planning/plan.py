@@ -14,7 +14,7 @@ from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import write_text
 from shj_bayes.errors import PlanError, ShjError
 from shj_bayes.inference.store import versions
-from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT
+from shj_bayes.mismatch.hypothesis import ALPHA, MIN_EFFECT
 from shj_bayes.planning.information import OUTCOMES, WHICH, LinearQuantity, expected_information
 from shj_bayes.planning.protocol import LEEWAY, Protocol, ProtocolBlock, Rig
 from shj_bayes.planning.rivals import Further, PretestPosterior, mechanisms_of

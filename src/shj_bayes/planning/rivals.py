@@ -15,20 +15,9 @@ from scipy.special import chdtri, logsumexp, nctdtrit, ndtri
 from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import PlanError, did_you_mean
-from shj_bayes.inference.binning import BinnedRun, reduce_runs
+from shj_bayes.inference.binning import BinnedRun, Run, reduce_runs
 from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.posterior import Posterior
-from shj_bayes.inference.run import Run
-from shj_bayes.mismatch.classes import (
-    ALPHA,
-    CURVES,
-    LOG_PRIOR_ODDS,
-    MIN_EFFECT,
-    PRIOR_INCLUSION,
-    TYPICAL,
-    candidates,
-    classes,
-)
 from shj_bayes.mismatch.data import (
     COARSER,
     MODEL_ERROR,
@@ -41,11 +30,22 @@ from shj_bayes.mismatch.data import (
 )
 from shj_bayes.mismatch.findings import most_probable
 from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
-from shj_bayes.mismatch.hypothesis import CONSTANT, Hypothesis
+from shj_bayes.mismatch.hypothesis import (
+    ALPHA,
+    CONSTANT,
+    CURVES,
+    LOG_PRIOR_ODDS,
+    MIN_EFFECT,
+    PRIOR_INCLUSION,
+    TYPICAL,
+    Hypothesis,
+    candidates,
+    classes,
+)
 from shj_bayes.mismatch.laplace import find_noise, laplace
 from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel, effects_named
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.history import SCALES, History, coordinate_of, histories
 from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
 from shj_bayes.options import DiagnoseOptions

@@ -495,8 +495,8 @@ _FOUND: dict[tuple[int, int], Motion] = {}
 def _motion(recording: Recording) -> Motion:
     """Find the motion of a recording that was not asked about before."""
     time, raw = recording.time_s, recording.displacement_mm
-    count = resolution_of(raw)
-    noise = noise_of(raw, count)
+    resolution = resolution_of(raw)
+    noise = noise_of(raw, resolution)
     extent = float(np.ptp(raw))
     least = max(limits.MIN_STROKE_MM, 2 * limits.REVERSAL_NOISE * noise)
     if raw.size < 8 or extent < least:
@@ -504,16 +504,16 @@ def _motion(recording: Recording) -> Motion:
             f"{recording.source.name}: the displacement moves {extent:.3g} mm in {raw.size} samples "
             f"with {noise:.2g} mm noise; needed are 8 samples and {least:.3g} mm; check column and unit"
         )
-    floor = max(limits.REVERSAL_COUNTS * count, limits.REVERSAL_RANGE * extent)
+    floor = max(limits.REVERSAL_COUNTS * resolution, limits.REVERSAL_RANGE * extent)
     # The first search only has to find the large half-cycles; what it takes for one narrows the window.
-    curve = smooth(time, raw, noise, count, hysteresis(raw, max(limits.REVERSAL_NOISE * noise, 2 * floor)))
+    curve = smooth(time, raw, noise, resolution, hysteresis(raw, max(limits.REVERSAL_NOISE * noise, 2 * floor)))
     # The second search works on the smoothed curve, so that its threshold may be as low as the noise that is left.
     threshold = max(limits.REVERSAL_NOISE * curve.noise, floor)
     turns = hysteresis(curve.values, threshold)
     turn_s, turn_mm, corners = place(time, raw, curve, turns, noise)
     if corners:  # a window that crosses a corner rounds it, one that ends there sees half as many samples
         way, offset, rounded, rounded_v = unfolded(time, corners)
-        straight = smooth(time, way * (raw - rounded) + offset, noise, count, turns)
+        straight = smooth(time, way * (raw - rounded) + offset, noise, resolution, turns)
         x, v = way * (straight.values - offset) + rounded, way * straight.velocity + rounded_v
         curve = straight._replace(values=x, velocity=v)
     start = _boundaries(time, turn_s)

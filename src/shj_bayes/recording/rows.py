@@ -319,7 +319,7 @@ def is_head(group: Sequence[str], first: Head, dialect: Dialect) -> bool:
     return False
 
 
-def brought(first: Head, own: Head, file: str) -> list[tuple[int, float]]:
+def in_columns_of(first: Head, own: Head, file: str) -> list[tuple[int, float]]:
     """Place below a later head of each column of the first, -1 where it is missing, and the factor of its unit.
 
     `RecordingError` with the line where a channel is missing or its unit cannot be brought to that of the first head.
@@ -529,7 +529,7 @@ class TextRows:
             if a > begin:
                 self._rows(lines[begin:a], plain)
             if b > a:
-                self._turn(lines[a:b], lines[b] if b < len(lines) else "", self.at + a)
+                self._change_head(lines[a:b], lines[b] if b < len(lines) else "", self.at + a)
             begin = b
         self.at += len(lines)
 
@@ -555,14 +555,14 @@ class TextRows:
                 found.append((i, i + 1, no_row))
         return [(a, b) for a, b, no_row in found if no_row]
 
-    def _turn(self, group: list[str], row: str, at: int) -> None:
+    def _change_head(self, group: list[str], row: str, at: int) -> None:
         """Read lines of words between the rows; `row` is that which follows, `at` the first of them."""
         width = len(self.dialect.cells(row)) or self.dialect.width
         own = self.dialect._replace(width=width)
         if is_head(group, self.head, own):
             named = next((i for i, line in enumerate(group) if len(own.cells(line)) == width), 0)
             head = head_of(group, own, self.line_of(at + named))
-            self.dialect, self.places = own, brought(self.head, head, self.file)
+            self.dialect, self.places = own, in_columns_of(self.head, head, self.file)
             self.heads.append((self.n_kept, head))
             if self.places != [(i, 1.0) for i in range(len(self.places))]:
                 self.moved.append(head)

@@ -136,28 +136,28 @@ class Samples(NamedTuple):
         return grid_of(self.time_s, self.values, self.noise, max(self.step, half_s / MAX_HALF_WIDTH, least))
 
 
-def smooth(time_s: FloatArray, values: FloatArray, noise: float, count: float, turns: list[int]) -> Smooth:
+def smooth(time_s: FloatArray, values: FloatArray, noise: float, resolution: float, turns: list[int]) -> Smooth:
     """Smooth a measured displacement with strictly increasing times and differentiate it.
 
-    `noise` is the standard deviation of one sample, `count` the step of the encoder, 0 when there is none, `turns` the
-    samples at which half-cycles end, roughly.
+    `noise` is the standard deviation of one sample, `resolution` the step of the encoder, 0 when there is none, `turns`
+    the samples at which half-cycles end, roughly.
     """
     samples = Samples(time_s, values, noise, float(np.median(np.diff(time_s))))
     # Neighbouring windows differ by the rounding error of a slow staircase without any bias, and noise that is not
     # white is larger than its third differences tell; a ten-thousandth of the range is no bias that a loop shows.
     coloured = min(BIAS_RANGE * float(np.ptp(values)), 4.0 * noise)
-    allowed = max(BIAS_SHARE * noise, coloured, count / float(np.sqrt(12.0)))
+    allowed = max(BIAS_SHARE * noise, coloured, resolution / float(np.sqrt(12.0)))
     edges = np.concatenate([[time_s[0]], time_s[turns], [time_s[-1]]])
     half_s = choose_half_width(samples, allowed, edges)
     grid = samples.grid(half_s)
     half = max(2, round(half_s / grid.step))
-    kinks_s = grid.time[find_kinks(grid, half, allowed, count)]
+    kinks_s = grid.time[find_kinks(grid, half, allowed, resolution)]
     long = np.flatnonzero(np.diff(time_s) > max(GAP_STEPS * samples.step, grid.step))
     stops = np.sort(np.concatenate([kinks_s, time_s[long], time_s[long + 1]]))
-    widths = widen(samples, max(BIAS_SHARE * noise, count / float(np.sqrt(12.0))), edges, half_s, stops)
+    widths = widen(samples, max(BIAS_SHARE * noise, resolution / float(np.sqrt(12.0))), edges, half_s, stops)
     of_sample = widths[np.searchsorted(time_s[turns], time_s, side="right")]
     narrowest = max(2.0 * samples.step, half_s / NARROWEST)
-    position, velocity, error = _narrowed(samples, of_sample, stops, max(allowed, 2.0 * count), narrowest)
+    position, velocity, error = _narrowed(samples, of_sample, stops, max(allowed, 2.0 * resolution), narrowest)
     kernel = weights(2 * half + 1, _CUBIC)
     return Smooth(
         values=position,
@@ -292,12 +292,14 @@ def _changes(grid: Grid, edges: FloatArray, widths: tuple[float, float]) -> tupl
     return change, expected
 
 
-def find_kinks(grid: Grid, half: int, allowed: float, count: float = 0.0) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def find_kinks(
+    grid: Grid, half: int, allowed: float, resolution: float = 0.0
+) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Places on the grid where the slope jumps: corners of a triangle, starts and stops.
 
     The coefficient of abs(t) beside a local quintic is a linear filter of the samples; where it stands far out of its
     noise there is a corner. Corners that smoothing would round by less than `allowed` are left to it; what rounding to
-    encoder steps (`count`) can do alone is no corner, even where counts lie evenly about a top.
+    encoder steps (`resolution`) can do alone is no corner, even where counts lie evenly about a top.
     """
     if half < 4 or grid.time.size < 4 * half:
         return np.zeros(0, dtype=np.int64)
@@ -311,7 +313,7 @@ def find_kinks(grid: Grid, half: int, allowed: float, count: float = 0.0) -> np.
     # Correlated noise (filters, encoder counts, rig ringing) spreads the coefficient more than white noise would.
     scale = max(scale, float(np.median(np.abs(inside))) / 0.6745, 1e-9 * float(np.ptp(grid.values)) + 1e-300)
     # A local cubic rounds |u| by 3/16 at its tip.
-    least = max(allowed / 0.1875, 0.5 * count * float(np.sum(np.abs(kernel))))
+    least = max(allowed / 0.1875, 0.5 * resolution * float(np.sum(np.abs(kernel))))
     z = np.where(np.abs(inside) > least, np.abs(inside) / scale, 0.0)
     found: list[int] = []
     near = np.zeros(z.size, dtype=np.bool_)  # within half a window of a corner that stands out more

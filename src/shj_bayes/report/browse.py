@@ -19,9 +19,9 @@ from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report import numbers as n
 from shj_bayes.report.diagnosis_numbers import DiagnosisData
-from shj_bayes.report.force_unit import force_unit, unit_for
 from shj_bayes.report.numbers import DeviceFigures
 from shj_bayes.report.page import is_ours
+from shj_bayes.report.words import force_unit, unit_for
 from shj_bayes.results.device import DeviceData, IntArray
 
 MAX_POINTS = 16_000  # of all runs together: about 0.5 MB of page, more than any screen has points to show

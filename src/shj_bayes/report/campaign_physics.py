@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
-from shj_bayes.mismatch.classes import ALPHA, MIN_EFFECT
+from shj_bayes.mismatch.hypothesis import ALPHA, MIN_EFFECT
 from shj_bayes.report.diagnosis_words import over_words, percent
 from shj_bayes.results.campaign import SetTogether, SharedDependence
 from shj_bayes.results.diagnosis import DependenceId

@@ -3,10 +3,10 @@
 from typing import Any
 
 from shj_bayes.model.device import meaning_of
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.planning.identifiability import Confusion, Doubt, Identifiability
 from shj_bayes.report import words
-from shj_bayes.report.force_unit import ForceUnit, unit_for
+from shj_bayes.report.words import ForceUnit, unit_for
 
 DOUBTS = {
     Doubt.NEVER_SLIDES: (

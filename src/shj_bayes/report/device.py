@@ -16,10 +16,10 @@ from shj_bayes.model.parameters import base_of
 from shj_bayes.population.quantities import LEVELS
 from shj_bayes.report import words
 from shj_bayes.report.browse import device_viewer, thinning_words
-from shj_bayes.report.device_pictures import draw
-from shj_bayes.report.force_unit import ForceUnit, force_unit
+from shj_bayes.report.figures.device import draw
 from shj_bayes.report.numbers import DeviceFigures, left_over, numbers_of
 from shj_bayes.report.page import LOOPS, PAGE, write_page
+from shj_bayes.report.words import ForceUnit, force_unit
 from shj_bayes.results.device import DeviceData, RunData, read_device
 from shj_bayes.results.diagnosis import LeftOver
 from shj_bayes.results.fit import FitRecord, ParameterRow, PriorRecord, RunInput, Trust, ZeroError

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.report.binned import bin_means, edges_of, index_in
-from shj_bayes.report.force_unit import ForceUnit, unit_for
+from shj_bayes.report.numbers import bin_means, edges_of, index_in
+from shj_bayes.report.words import ForceUnit, unit_for
 from shj_bayes.results.device import BoolArray, Channels, IntArray, read_channels
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.store import read

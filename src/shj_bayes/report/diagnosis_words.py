@@ -11,13 +11,13 @@ import numpy as np
 from shj_bayes.errors import ModelError
 from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.device import meaning_of
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.history import PREFIX
 from shj_bayes.model.parameters import FloatArray, base_of
 from shj_bayes.recording.limits import CHANNEL_GAP
 from shj_bayes.report import words
 from shj_bayes.report.diagnosis_numbers import DiagnosisData, number
-from shj_bayes.report.force_unit import ForceUnit, unit_for
+from shj_bayes.report.words import ForceUnit, unit_for
 from shj_bayes.results.diagnosis import (
     FEWEST_CYCLES,
     NOTHING_MISSING,

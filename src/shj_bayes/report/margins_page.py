@@ -5,12 +5,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from shj_bayes.margins.card import CardLine, cards, shown
 from shj_bayes.margins.codes.en15129 import kind_of
-from shj_bayes.margins.files import degrees_words
+from shj_bayes.margins.files import CardLine, cards, degrees_words, shown
 from shj_bayes.margins.history import published_factors
-from shj_bayes.margins.row import DESIGN, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet
+from shj_bayes.margins.spread import DESIGN, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
 from shj_bayes.margins.virtual_test import STEP, CyclePoint, over_amplitude
 from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.predict import LoopBand

@@ -1,26 +1,97 @@
-"""The numbers behind the figures: bands, cycles, energy and degradation. Nothing is drawn here."""
+"""The numbers behind the figures: bands, residuals, cycles, energy, loops of the prior. Nothing is drawn here."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from shj_bayes.model.law import work_between
+from shj_bayes.model.law import BETA_RANGE, force_of_laws, work_between
 from shj_bayes.model.parameters import FloatArray, run_name
+from shj_bayes.population.device import published_rows
 from shj_bayes.population.quantities import LEVELS, band_of
-from shj_bayes.recording.motion import one_peak_speed
-from shj_bayes.report.beforehand import Beforehand, beforehand
-from shj_bayes.report.binned import StrokeProfile, residual, stroke_profiles
-from shj_bayes.results.device import DeviceData, RunData
+from shj_bayes.recording.motion import Block, exact_motion, one_peak_speed
+from shj_bayes.results.device import BoolArray, DeviceData, IntArray, RunData
 from shj_bayes.results.diagnosis import DiagnosisRecord, LeftOver
 from shj_bayes.results.store import diagnosis_in, find
 
+N_STROKE = 20
+N_SHIFTS = 3  # enough for a band
 N_BLOCKS = 400  # pieces of a recording over which the noise band is evened out
 AT_REST = 0.1  # a run that starts or ends within this share of the stroke from the middle, starts or ends there
 SLIDES = 0.7  # of the largest force: a middle of the stroke below it the device does not slide
+LAW = ("K", "Fy", "beta", "gamma")
+N_PRIOR, N_SHOWN, N_POSTERIOR = 1000, 80, 20
+SAMPLES_PER_CYCLE = 240
+
+
+@dataclass(frozen=True, eq=False)
+class StrokeProfile:
+    """Mean residual over stroke of one run and direction, arrays of shape (n_bins,)."""
+
+    # centre_mm, mean_kN: middle of the bin and mean residual there
+    centre_mm: FloatArray = field(repr=False)
+    mean_kN: FloatArray = field(repr=False)
+    # low_kN, high_kN: 5 and 95 % of what noise alone would give
+    low_kN: FloatArray = field(repr=False)
+    high_kN: FloatArray = field(repr=False)
+
+
+def residual(run: RunData) -> FloatArray:
+    """Measured force less the posterior mean of the law, kN, shape (n,)."""
+    return np.asarray(run.force_kN - run.law_kN.mean(axis=0), dtype=np.float64)
+
+
+def counted(run: RunData) -> BoolArray:
+    """Mark the samples that count: evidence, and not within two samples of a reversal.
+
+    There the published law jumps, and a reversal placed one sample off leaves a residual that is neither noise nor
+    physics.
+    """
+    keep = run.used.copy()
+    for shift in (-2, -1, 0, 1):
+        at = run.reversals + shift
+        keep[at[(at >= 0) & (at < keep.size)]] = False
+    return keep
+
+
+def stroke_profiles(run: RunData) -> tuple[StrokeProfile, StrokeProfile]:
+    """Mean residual over stroke for push and pull, beside what noise alone would give."""
+    edges = edges_of(run.displacement_mm, N_STROKE)
+    index, left = index_in(run.displacement_mm, edges), residual(run)
+    noise = run.predicted_kN - run.law_kN
+    # The fitted noise is stationary, so each draw may be moved in time to give several.
+    shifts = np.linspace(0, noise.shape[1], N_SHIFTS, endpoint=False).astype(int)
+    out = []
+    for sign in (1, -1):
+        inside = counted(run) & (run.direction == sign)
+        mean = bin_means(index, left, inside, N_STROKE)
+        there = np.isfinite(mean)
+        alone = [bin_means(index, np.roll(row, step), inside, N_STROKE)[there] for row in noise for step in shifts]
+        low, high = np.quantile(alone, (0.05, 0.95), axis=0)
+        out.append(StrokeProfile(0.5 * (edges[:-1] + edges[1:])[there], mean[there], low, high))
+    return out[0], out[1]
+
+
+def edges_of(values: FloatArray, n_bins: int) -> FloatArray:
+    """Edges of even bins over the range of values."""
+    low, high = float(values.min()), float(values.max())
+    return np.linspace(low, high if high > low else low + 1.0, n_bins + 1)
+
+
+def index_in(values: FloatArray, edges: FloatArray) -> IntArray:
+    """Bin of each value."""
+    return np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2).astype(np.int64)
+
+
+def bin_means(index: IntArray, what: FloatArray, inside: BoolArray, size: int, fewest: int = 1) -> FloatArray:
+    """Mean of the samples of each bin; nan where there are fewer than `fewest`."""
+    count = np.bincount(index[inside], minlength=size)
+    total = np.bincount(index[inside], weights=what[inside], minlength=size)
+    return np.where(count >= fewest, total / np.maximum(count, 1), np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,10 +312,10 @@ def left_over(device: DeviceData, folder: Path | None = None) -> LeftOver:
     capacity = max(abs(float(np.median(device.draws["Fy"]))), 1e-12)
     widening = device.record.cycles.widening
     return LeftOver(
-        100.0 * float(np.sqrt(max(rms**2 - short**2, 0.0))) / capacity,
-        sum(max(0, cycle_marks(run).size - 1) for run in device.runs),
-        max(widening.values(), default=1.0),
-        _diagnosed(device, folder) if folder else "",
+        unexplained_percent=100.0 * float(np.sqrt(max(rms**2 - short**2, 0.0))) / capacity,
+        n_cycles=sum(max(0, cycle_marks(run).size - 1) for run in device.runs),
+        widening=max(widening.values(), default=1.0),
+        diagnosed=_diagnosed(device, folder) if folder else "",
     )
 
 
@@ -252,3 +323,99 @@ def _diagnosed(device: DeviceData, folder: Path) -> str:
     """Verdict of ``diagnosis.json``; empty where it is missing, unreadable, or of other recordings."""
     record = find(DiagnosisRecord, folder / diagnosis_in(folder))
     return record.verdict if record and record.sha256_of_inputs == device.record.sha256_of_inputs else ""
+
+
+@dataclass(frozen=True, eq=False)
+class Beforehand:
+    """One steady sine cycle under prior, paper and posterior."""
+
+    amplitude_mm: float
+    peak_speed_mm_s: float
+    displacement_mm: FloatArray = field(repr=False)  # shape (n,): a closed loop
+    # prior_kN to posterior_kN: shape (m, n): forces; ``paper_kN`` has no rows when the priors are not those of the
+    # paper's kind of device
+    prior_kN: FloatArray = field(repr=False)
+    paper_kN: FloatArray = field(repr=False)
+    posterior_kN: FloatArray = field(repr=False)
+    # prior_range_kN, posterior_range_kN: 5 and 95 % of the largest force
+    prior_range_kN: tuple[float, float]
+    posterior_range_kN: tuple[float, float]
+    paper_range_kN: tuple[float, ...]  # smallest and largest of the published devices; empty without them
+    paper_inside: int  # published loops whose largest force lies within the central 98 % of the prior of their run
+
+
+def beforehand(device: DeviceData, amplitude_mm: float, peak_speed_mm_s: float) -> Beforehand:
+    """Loops of one sine cycle of the amplitude and peak speed that were tested."""
+    variant = device.record.model.variant
+    published = device.record.model.priors == "afc"
+    prior, paper, inside = [], [], 0
+    for run in _runs(device):
+        # A second run has its own prior: that of the ratio widens that of the sliding force.
+        x, force = steady_cycle(_laws(device.prior, N_PRIOR, run), amplitude_mm, peak_speed_mm_s, variant)
+        prior.append(force)
+        if published:
+            _, loops = steady_cycle(_published_laws(run), amplitude_mm, peak_speed_mm_s, variant)
+            low, high = np.quantile(np.abs(force).max(axis=1), (0.01, 0.99))
+            reached = np.abs(loops).max(axis=1)
+            inside += int(np.sum((reached >= low) & (reached <= high)))
+            paper.append(loops)
+    draws = {name: values.ravel() for name, values in device.draws.items()}
+    after = [_laws(draws, N_POSTERIOR, run) for run in _runs(device)]
+    _, posterior = steady_cycle(np.concatenate(after), amplitude_mm, peak_speed_mm_s, variant)
+    before = np.concatenate(prior)
+    loops = np.concatenate(paper) if paper else np.empty((0, x.size))
+    return Beforehand(
+        amplitude_mm,
+        peak_speed_mm_s,
+        x,
+        before[:: max(1, before.shape[0] // N_SHOWN)],
+        loops,
+        posterior,
+        _range(before, (0.05, 0.95)),
+        _range(posterior, (0.05, 0.95)),
+        _range(loops, (0.0, 1.0)) if paper else (),
+        inside,
+    )
+
+
+def steady_cycle(
+    laws: FloatArray, amplitude_mm: float, peak_speed_mm_s: float, variant: str
+) -> tuple[FloatArray, FloatArray]:
+    """Displacement, shape (n,), and force, shape (m, n), of a closed sine cycle; laws that overflow are left out."""
+    frequency = peak_speed_mm_s / (2 * np.pi * amplitude_mm)
+    _, motion = exact_motion((Block(amplitude_mm, frequency, 2),), SAMPLES_PER_CYCLE * frequency)
+    laws = laws.copy()
+    laws[:, 2] = np.clip(laws[:, 2], *BETA_RANGE)
+    with np.errstate(over="ignore", invalid="ignore"):
+        force = force_of_laws(motion, laws, variant=variant)
+    loop = slice(int(motion.start[1]), int(motion.start[3]) + 1)
+    force = force[np.all(np.isfinite(force), axis=1)]
+    return motion.displacement_mm[loop], force[:, loop]
+
+
+def _runs(device: DeviceData) -> tuple[int, ...]:
+    return (1, 2) if "ratio" in device.draws else (1,)
+
+
+def _range(force_kN: FloatArray, levels: tuple[float, float]) -> tuple[float, float]:
+    """Two quantiles of the largest force of each loop, kN."""
+    low, high = np.quantile(np.abs(force_kN).max(axis=1), levels)
+    return float(low), float(high)
+
+
+def _laws(draws: Mapping[str, FloatArray], n: int, run: int) -> FloatArray:
+    """Law parameters of `n` evenly spread draws, shape (n, 4)."""
+    at = np.linspace(0, draws["Fy"].size - 1, n).astype(int)
+    still = np.zeros(draws["Fy"].size)  # gamma of a law without speed dependence
+    laws = np.stack([draws.get(name, still)[at] for name in LAW], axis=1)
+    if run == 2:
+        laws[:, 1] *= draws["ratio"][at]
+    return laws
+
+
+def _published_laws(run: int) -> FloatArray:
+    """Law parameters of one run of the published devices, shape (25, 4)."""
+    rows = [[row.values[name, run] for name in ("K", "Fy", "beta", "dep")] for row in published_rows()]
+    laws = np.array(rows)
+    laws[:, 3] = 1 / laws[:, 3]
+    return laws

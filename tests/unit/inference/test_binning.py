@@ -7,14 +7,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from shj_bayes.inference.binning import BinnedRun, reduce_runs
+from shj_bayes.inference.binning import BinnedRun, Run, histories_of, reduce_runs, runs_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.run import Run, histories_of, runs_of
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
+from shj_bayes.model.filter import sd_over_speed, slowness
 from shj_bayes.model.law import force_of_laws
-from shj_bayes.model.noise.low_speed import rougher, slowness
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.motion import Block, Motion, exact_motion
@@ -141,10 +140,10 @@ def test_the_gaps_between_blocks_are_those_of_their_samples(averaged):
 def test_the_white_variance_of_a_block_is_the_mean_of_those_of_its_samples() -> None:
     """Blocks that mix low and high speed; the two points of each have mean and variance of the displacement."""
     runs = exact_runs(50.0)
-    posterior = make_posterior(runs, DeviceModel(len(runs), read_priors("afc"))).rougher(np.log(2.5))
-    posterior = replace(posterior, averages=reduce_runs(runs, law_force)).rougher(posterior.at_rest)
+    posterior = make_posterior(runs, DeviceModel(len(runs), read_priors("afc"))).with_noise_at_rest(np.log(2.5))
+    posterior = replace(posterior, averages=reduce_runs(runs, law_force)).with_noise_at_rest(posterior.at_rest)
     history, part = posterior.histories[0], posterior.averages[0]
-    samples = rougher(np.log(2.5), slowness(history.speed_mm_s, history.peak_speed_mm_s)) ** 2
+    samples = sd_over_speed(np.log(2.5), slowness(history.speed_mm_s, history.peak_speed_mm_s)) ** 2
     means = np.array([samples[own].mean() for own in samples_of_blocks(runs[0], part)])
     assert means.min() < 1.05
     assert means.max() > 6.0

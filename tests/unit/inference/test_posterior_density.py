@@ -11,12 +11,12 @@ from scipy import stats
 
 from shj_bayes.errors import InferenceError, PriorError
 from shj_bayes.inference import posterior as posterior_module
+from shj_bayes.inference.binning import Run, runs_of
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.run import Run, runs_of
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.noise.catalogue import noise_models
-from shj_bayes.model.noise.filter import Timing
+from shj_bayes.model.filter import Timing
+from shj_bayes.model.noise.noise import noise_models
 from shj_bayes.model.priors import MAX_SPREAD, Prior, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.motion import Block, exact_motion

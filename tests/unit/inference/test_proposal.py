@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from shj_bayes.inference.proposal import N_DRAWS, N_ROUNDS, TAIL, Proposal, fit_proposal
+from shj_bayes.inference.sampler import N_DRAWS, N_ROUNDS, TAIL, Proposal, fit_proposal
 from shj_bayes.inference.start import Start
 
 D = 5

@@ -8,10 +8,10 @@ import pytest
 from scipy import optimize, stats
 
 from shj_bayes.errors import InferenceError
+from shj_bayes.inference.binning import Run
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.run import Run
 from shj_bayes.inference.start import Start, find_start, law_starts, most_probable_noise, root_of
-from shj_bayes.model.noise.low_speed import rougher, slowness
+from shj_bayes.model.filter import sd_over_speed, slowness
 from shj_bayes.model.simulate import Truth
 
 Make = Callable[..., Posterior]
@@ -47,13 +47,13 @@ def test_noise_at_low_speed_is_found(make_small: Make, ratio: float) -> None:
     small = make_small(replace(DEVICES["weak"], sigma_slow=0.0), rate_Hz=12.0)
     rng, runs = np.random.default_rng(5), []
     for run, history in zip(small.runs, small.histories, strict=True):
-        sd = rougher(np.log(ratio), slowness(history.speed_mm_s, history.peak_speed_mm_s))
+        sd = sd_over_speed(np.log(ratio), slowness(history.speed_mm_s, history.peak_speed_mm_s))
         more = 2.0 * sd * rng.standard_normal(sd.size)
         force = run.recording.force_kN + more
         runs.append(Run(replace(run.recording, force_kN=force), run.motion))
     found, start = find_start(make_posterior(runs, small.model))
     assert found.at_rest == pytest.approx(np.log(ratio), abs=0.35)
-    moved = found.rougher(found.at_rest + 0.4).log_posterior_free(start.free[None])[0]
+    moved = found.with_noise_at_rest(found.at_rest + 0.4).log_posterior_free(start.free[None])[0]
     assert moved < start.log_posterior
 
 

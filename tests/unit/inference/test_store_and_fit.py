@@ -15,16 +15,15 @@ import xarray as xr
 
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference import store
-from shj_bayes.inference.convergence import FitVerdict, judge
+from shj_bayes.inference.convergence import FitVerdict, Widening, judge
 from shj_bayes.inference.fit import CHECKPOINT, Fit, evenly_spread, fit, weights_of_all_samples, with_widening
 from shj_bayes.inference.posterior import Posterior, make_posterior
 from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
 from shj_bayes.inference.quiet_arviz import az
-from shj_bayes.inference.robust import Widening
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import effects_named
-from shj_bayes.model.noise.filter import Timing, log_density, simulate
+from shj_bayes.model.filter import Timing, log_density, simulate
 from shj_bayes.model.simulate import Truth
 from shj_bayes.results import device as device_file
 from shj_bayes.results import store as store_file
@@ -233,7 +232,7 @@ def test_noise_at_low_speed_is_stated_and_drawn(make_small: Callable[..., Poster
     result, folder = fitted
     stated = read(FitRecord, folder).noise_at_rest
     assert stated == pytest.approx(np.exp(result.posterior.at_rest))
-    small = make_small(noise="independent", n_runs=1).rougher(np.log(3.0))
+    small = make_small(noise="independent", n_runs=1).with_noise_at_rest(np.log(3.0))
     theta = np.tile(small.natural(np.zeros((1, len(small.names)))), (4000, 1))
     points = tuple(points_of(run, 10_000) for run in small.runs)
     clean, noisy = force_at_points(small, theta, points, np.random.default_rng(2))

@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shj_bayes.inference.convergence import FitVerdict
+from shj_bayes.inference.binning import Run
+from shj_bayes.inference.convergence import FEWEST, FitVerdict, Widening, _scores, widening_of
 from shj_bayes.inference.fit import fit, with_widening
 from shj_bayes.inference.posterior import Posterior, make_posterior
-from shj_bayes.inference.robust import FEWEST, Widening, _scores, widening_of
-from shj_bayes.inference.run import Run
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.inference.start import Start, find_start
 from shj_bayes.model.simulate import Truth

@@ -14,8 +14,8 @@ from click.testing import CliRunner
 from shj_bayes.app.design import margin_text
 from shj_bayes.cli import main
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.row import HIGH, LOW
 from shj_bayes.margins.sheet import margins
+from shj_bayes.margins.spread import HIGH, LOW
 from shj_bayes.options import MarginOptions
 from shj_bayes.population.compare import is_bare
 from shj_bayes.population.hierarchy import ANY_SET

@@ -14,10 +14,9 @@ from shj_bayes.margins.codes import en1990, iso16269_6
 from shj_bayes.margins.export import bounds, draw_devices, loops, write_loops
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
 from shj_bayes.margins.history import LAWS, published_factors, sine
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, agreement, margins, pool
 from shj_bayes.margins.specimen import specimens_of_table
-from shj_bayes.margins.spread import Sample, spreading_more
+from shj_bayes.margins.spread import HIGH, LOW, MIDDLE, Margin, Sample, spreading_more
 from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.options import MarginOptions
 from shj_bayes.population.device import PUBLISHED, RangeTested, common

@@ -11,11 +11,10 @@ import pytest
 from shj_bayes.app.design import card_lines
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import NONE, Bounds, DesignBasis, Environment, SlidingForceBounds
-from shj_bayes.margins.card import cards
 from shj_bayes.margins.codes.code import Given
-from shj_bayes.margins.files import write_margins
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE
+from shj_bayes.margins.files import cards, write_margins
 from shj_bayes.margins.sheet import agreement, margins
+from shj_bayes.margins.spread import HIGH, LOW, MIDDLE
 from shj_bayes.margins.uses import (
     BATCH_PASSES,
     FRICTION,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import shj_validation.trials
-from shj_bayes.inference.run import runs_of
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.diagnosis import DiagnosisResult, diagnose
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors

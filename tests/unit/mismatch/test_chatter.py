@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.classes import Dependence
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.data import ErrorParameters, data_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.fitter import Fitter
+from shj_bayes.mismatch.hypothesis import Dependence
 from shj_bayes.mismatch.laplace import laplace_under
 from shj_bayes.mismatch.moves import Search
 from shj_bayes.mismatch.periodic import SURE, Chatter, _at_scale, chatter_of

@@ -10,20 +10,20 @@ from made_diagnosis import made
 
 import shj_bayes.mismatch.heldout as proven_module
 from shj_bayes.errors import ModelError
-from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.classes import classes as all_classes
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.content import heldout as heldout_row
 from shj_bayes.mismatch.data import BinnedData, ErrorParameters, data_of
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.mismatch.findings import Reason, answer_of
 from shj_bayes.mismatch.fitter import noise_beside
 from shj_bayes.mismatch.heldout import held_out, proven
+from shj_bayes.mismatch.hypothesis import classes as all_classes
 from shj_bayes.mismatch.laplace import find_noise, laplace_under
 from shj_bayes.mismatch.moves import add_one
 from shj_bayes.mismatch.regions import aliases_of
 from shj_bayes.mismatch.search import search
 from shj_bayes.model.device import DeviceModel, effects_named
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.options import DiagnoseOptions

@@ -9,13 +9,13 @@ from scipy.optimize import least_squares
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from shj_bayes.mismatch.classes import FORMS, PRIOR_INCLUSION, Dependence, candidates, classes, size_weights, sized
 from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.heldout import PARTS, Gain, HeldOut, cycles_of, held_out
+from shj_bayes.mismatch.hypothesis import FORMS, PRIOR_INCLUSION, Dependence, candidates, classes, size_weights, sized
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace, laplace_under, visible
 from shj_bayes.mismatch.screen import SIZES_OF_STARTS, screen
 from shj_bayes.model.curve import SIZES
-from shj_bayes.model.noise.low_speed import rougher
+from shj_bayes.model.filter import sd_over_speed
 
 NOISE = {"sigma_white": 0.8, "sigma_slow": 0.6, "tau_slow": 1.0}
 
@@ -66,7 +66,7 @@ def test_noise_may_be_rougher_at_low_speed(data: BinnedData, metric: ErrorModel)
     rough = ErrorModel(data, replace(metric.setting, at_rest=math.log(3.0)), metric.slope)
     used = data.used > 0
     speed = data.channel("speed_mm_s")[used]
-    more = rougher(math.log(3.0), data.slow)
+    more = sd_over_speed(math.log(3.0), data.slow)
     assert more[used][np.argmin(speed)] == pytest.approx(3.0, rel=0.02)
     assert more[used][np.argmax(speed)] == pytest.approx(1.0, abs=0.01)
     still = ErrorModel(data, rough.setting, np.zeros(metric.slope.size))

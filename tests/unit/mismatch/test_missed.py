@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.classes import candidates, classes
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.data import ErrorModel, ErrorParameters, data_of
 from shj_bayes.mismatch.findings import _missed_instead, answer_of
 from shj_bayes.mismatch.fitter import Fitter, noise_of_size
-from shj_bayes.mismatch.hypothesis import joined
+from shj_bayes.mismatch.hypothesis import candidates, classes, joined
 from shj_bayes.mismatch.laplace import find_noise, laplace_under
 from shj_bayes.mismatch.moves import Search
 from shj_bayes.mismatch.screen import beside_missed, curves_of, missed_by

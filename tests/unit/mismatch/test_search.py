@@ -5,19 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from shj_bayes.inference.run import runs_of
-from shj_bayes.mismatch.classes import classes
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.data import ErrorModel, data_of
 from shj_bayes.mismatch.findings import answer_of, curve_band
 from shj_bayes.mismatch.fitter import Fitter
+from shj_bayes.mismatch.hypothesis import classes
 from shj_bayes.mismatch.moves import RIVAL, moving, refit_noise, replace_by_formula
 from shj_bayes.mismatch.periodic import follows_cycles, of_whole_cycles
 from shj_bayes.mismatch.search import search
-from shj_bayes.model.augmented import force_with_effects
 from shj_bayes.model.curve import Curve
-from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.device import DeviceModel, force_with_effects
+from shj_bayes.model.effects.effect import Base, catalogue
 from shj_bayes.model.history import histories
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.motion import motion_of

@@ -10,9 +10,8 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import lsim
 
-from shj_bayes.model.augmented import force_with_effects
-from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.device import force_with_effects
+from shj_bayes.model.effects.effect import Base, catalogue
 from shj_bayes.model.effects.sliding import passes, slid_m, slid_mm, slid_since_mm
 from shj_bayes.model.history import ARRAYS, DELAYED, History, delayed, histories
 from shj_bayes.recording.motion import Block, Motion, exact_motion

@@ -9,8 +9,7 @@ import pytest
 from scipy import optimize
 
 from shj_bayes.model.effects.breakaway import _ages
-from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Base
+from shj_bayes.model.effects.effect import Base, catalogue
 from shj_bayes.model.effects.sliding import slid_m
 from shj_bayes.model.history import History, histories
 from shj_bayes.recording.motion import Block, Motion, exact_motion

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import ModelError
-from shj_bayes.model import kernel
+from shj_bayes.model import law as kernel
 from shj_bayes.model.law import force, force_of_laws
 from shj_bayes.recording.motion import Block, exact_motion
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import ModelError
-from shj_bayes.inference.binning import reduce_runs
-from shj_bayes.inference.run import further_of, histories_of, measured_of, runs_of
-from shj_bayes.mismatch.classes import classes
+from shj_bayes.inference.binning import further_of, histories_of, measured_of, reduce_runs, runs_of
+from shj_bayes.mismatch.hypothesis import classes
 from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.curve import Curve, curve_named
 from shj_bayes.model.device import DeviceModel, effects_named, meaning_of

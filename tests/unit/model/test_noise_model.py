@@ -9,9 +9,17 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import ModelError
-from shj_bayes.model.noise.catalogue import DEFAULT, noise_model, noise_models
-from shj_bayes.model.noise.filter import Timing, density_and_zero, log_density, simulate, whiten
-from shj_bayes.model.noise.noise import Noise, gaussian
+from shj_bayes.model.filter import Timing, density_and_zero, log_density, simulate, whiten
+from shj_bayes.model.noise import noise
+from shj_bayes.model.noise.noise import (
+    DEFAULT,
+    Noise,
+    NoiseParameter,
+    gaussian,
+    noise_model,
+    noise_models,
+    noise_parameters,
+)
 
 STEP = 0.05
 INF = math.inf
@@ -446,7 +454,14 @@ def test_words_of_the_catalogue() -> None:
         noise_model("independant")
 
 
-def test_a_noise_parameter_needs_a_unit_and_a_meaning() -> None:
+def test_a_noise_parameter_means_the_same_in_all_models(
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
     parts, decay = noise_model("ar1").parts, noise_model("ar1").decay
-    with pytest.raises(ModelError, match=r"noise model mine: 'rho' is not a noise parameter; known are sigma_white"):
-        Noise("mine", ("sigma", "rho"), parts, decay)
+    mine = Noise("mine", (NoiseParameter("phi", "s", "a phase"),), parts, decay)
+    known = {**noise_models(), "mine": mine}
+    monkeypatch.setattr(noise, "noise_models", lambda: known)
+    noise_parameters.cache_clear()
+    request.addfinalizer(noise_parameters.cache_clear)
+    with pytest.raises(ModelError, match="noise model mine: 'phi' is a parameter of another model; rename it"):
+        noise_parameters()

@@ -11,7 +11,7 @@ from scipy.integrate import quad
 
 from shj_bayes._util.files import shipped
 from shj_bayes.errors import PriorError
-from shj_bayes.model.parameters import BASE
+from shj_bayes.model.parameters import base_parameters
 from shj_bayes.model.priors import LAWS, SCHEMA, Prior, read_priors, shipped_families
 
 EXAMPLES = [
@@ -247,10 +247,10 @@ def test_missing_and_broken_files(tmp_path: Path) -> None:
 def test_shipped_families_hold_every_parameter(family: str) -> None:
     assert family in shipped_families()
     priors = read_priors(family)
-    assert set(priors.priors) == set(BASE)
+    assert set(priors.priors) == set(base_parameters())
     assert priors.statement
     for name, prior in priors.priors.items():
-        assert (prior.name, prior.unit) == (name, BASE[name].unit)
+        assert (prior.name, prior.unit) == (name, base_parameters()[name].unit)
 
 
 def test_afc_priors_allow_the_published_devices() -> None:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.fit import fit
-from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.errors import PlanError
-from shj_bayes.inference.run import runs_of
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.data import N_OF_RUN, ErrorModel
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors

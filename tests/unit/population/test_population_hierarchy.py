@@ -8,10 +8,9 @@ from scipy import stats
 from scipy.special import ndtr
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.population import grid
+from shj_bayes.population import hierarchy as grid
 from shj_bayes.population.device import DeviceEstimate, published_devices, sets_of
-from shj_bayes.population.grid import cells_of, integrate
-from shj_bayes.population.hierarchy import fit_population, fit_quantity
+from shj_bayes.population.hierarchy import cells_of, fit_population, fit_quantity, integrate
 from shj_bayes.population.quantities import Likelihood, Rounded, of_draws, other_priors, population_prior, quantity
 
 FY = quantity("Fy")

@@ -4,7 +4,7 @@ from scipy import integrate, stats
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import DeviceEstimate, Tags, sets_of
-from shj_bayes.population.grid import log_likelihood
+from shj_bayes.population.hierarchy import log_likelihood
 from shj_bayes.population.quantities import Likelihood, Rounded, of_draws, ratio_of
 
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from shj_bayes.cli import main
 from shj_bayes.errors import ProofError
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_validation.proof import challenge
 from shj_validation.proof.cases import CHALLENGE, draw_keys, stated_key
 from shj_validation.proof.challenge import Answer, answer_of, judge, make_challenge, read_sheet, score_challenge

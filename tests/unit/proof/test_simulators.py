@@ -8,10 +8,9 @@ from scipy.integrate import solve_ivp, trapezoid
 from scipy.interpolate import PchipInterpolator
 
 from shj_bayes.errors import ModelError
-from shj_bayes.mismatch.classes import MIN_EFFECT
-from shj_bayes.model.augmented import force_with_effects
-from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Base
+from shj_bayes.mismatch.hypothesis import MIN_EFFECT
+from shj_bayes.model.device import force_with_effects
+from shj_bayes.model.effects.effect import Base, catalogue
 from shj_bayes.model.history import histories
 from shj_bayes.model.law import force
 from shj_bayes.recording.motion import Block, exact_motion, hysteresis

@@ -50,7 +50,7 @@ CASES = {
         "shj_bayes.app.campaign",
         "scipy.stats scipy.signal pandas xarray matplotlib arviz emcee pint",
     ),
-    "fit": ("shj_bayes.app.device, shj_bayes.report.device_pictures", f"{DRAWN} scipy.stats scipy.signal pint"),
+    "fit": ("shj_bayes.app.device, shj_bayes.report.figures.device", f"{DRAWN} scipy.stats scipy.signal pint"),
     "diagnose": ("shj_bayes.mismatch.diagnosis, shj_bayes.report.diagnosis_page", f"{DRAWN} scipy.stats pint"),
 }
 

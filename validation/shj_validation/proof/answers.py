@@ -13,8 +13,7 @@ import numpy as np
 import pandas as pd
 
 from shj_bayes.model.coordinates import coordinates_of
-from shj_bayes.model.effects.catalogue import catalogue
-from shj_bayes.model.effects.effect import Base, combine
+from shj_bayes.model.effects.effect import Base, catalogue, combine
 from shj_bayes.model.history import History, histories
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import motion_of

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.fit import fit
-from shj_bayes.inference.run import runs_of
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel

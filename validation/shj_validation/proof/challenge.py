@@ -22,7 +22,7 @@ from tqdm import tqdm
 from shj_bayes._util.files import damage_told, read_bytes, read_json, write_text
 from shj_bayes.errors import ProofError
 from shj_bayes.inference.store import versions
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.results.diagnosis import DependenceId
 from shj_validation.proof import seal
 from shj_validation.proof.cases import CHALLENGE, Key, draw_keys

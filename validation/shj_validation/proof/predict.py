@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes.model.augmented import force_with_effects
-from shj_bayes.model.device import effect_named
+from shj_bayes.model.device import effect_named, force_with_effects
 from shj_bayes.model.effects.effect import Base, Effect
 from shj_bayes.model.history import histories
 from shj_bayes.model.parameters import FloatArray, run_name

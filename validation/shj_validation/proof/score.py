@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy import optimize, stats
 
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording

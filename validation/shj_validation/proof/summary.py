@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes.model.effects.catalogue import catalogue
+from shj_bayes.model.effects.effect import catalogue
 from shj_validation.proof.score import LIKELY, half_size, rate
 from shj_validation.proof.simulators.simulator import simulators_by_id
 

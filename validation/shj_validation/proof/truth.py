@@ -8,7 +8,7 @@ from scipy.linalg import solve_toeplitz
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from shj_bayes.inference.run import runs_of
+from shj_bayes.inference.binning import runs_of
 from shj_bayes.model.law import BETA_RANGE, force_of_laws, masing_force
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.recording import Recording

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 
 from shj_bayes.margins.basis import Bounds, SlidingForceBounds
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.row import HIGH, LOW, MIDDLE, Margin
+from shj_bayes.margins.spread import HIGH, LOW, MIDDLE, Margin, Origin
 
 CLAUSE = "ASCE 7 18.2.4"
 ADJUSTMENT = 0.75
@@ -50,7 +50,7 @@ def testing(force: SlidingForceBounds) -> Bounds:
 
 def _rows(given: Given) -> Iterator[Margin]:
     basis, nominal = given.basis, given.basis.nominal_kN
-    origin = ("ASCE 7, NZ practice", basis.nominal_words, f"{nominal:.4g} kN", "what the factors below multiply")
+    origin = Origin("ASCE 7, NZ practice", basis.nominal_words, f"{nominal:.4g} kN", "what the factors below multiply")
     yield given.of_force("nominal sliding force", MIDDLE, nominal, "kN", origin)
     spec, test = specification(basis.force, nominal), testing(basis.force)
     total = modification(basis.age.measured, test, spec)
@@ -88,7 +88,7 @@ def _of_bound(given: Given, side: str, factors: Sequence[float]) -> Iterator[Mar
          ("kN", f"{final:.3f} x {nominal:.4g} kN ({basis.nominal_words})", f"{bound}-bound analysis"), CLAUSE),
     )  # fmt: skip
     for kind, value, formula, (unit, inputs, purpose), clause in rows:
-        yield given.of_force(kind, side, value, unit, (clause, formula, inputs, purpose))
+        yield given.of_force(kind, side, value, unit, Origin(clause, formula, inputs, purpose))
 
 
 CODE = Code("asce7", _rows, 3)

@@ -9,8 +9,7 @@ from shj_bayes._util.imports import discovered
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins import codes
 from shj_bayes.margins.basis import RANK, DesignBasis
-from shj_bayes.margins.row import FACTORS, Margin
-from shj_bayes.margins.spread import Sample, Spread, known, limit, remarks
+from shj_bayes.margins.spread import FACTORS, Margin, Origin, Sample, Spread, known, limit, remarks
 from shj_bayes.model.parameters import base_of
 from shj_bayes.options import MarginOptions
 from shj_bayes.population.hierarchy import ANY_SET
@@ -37,33 +36,33 @@ class Given:
             return own  # how much sets differ is not stated
         return (known(self.samples[quantity], stated, self.request.v_reason), *own)
 
-    def of_force(self, kind: str, side: str, value: float, unit: str, origin: tuple[str, ...]) -> Margin:
-        """Margin of the force by factors; `origin` is clause, formula, inputs and purpose, then note and warning."""
+    def of_force(self, kind: str, side: str, value: float, unit: str, origin: Origin) -> Margin:
+        """Margin of the force by factors."""
         n = self.devices.get(LOWEST, 0)
         error = abs(value) * self.basis.errors.get(side, 0.0)
         number = (value, unit, n, math.nan)
         return Margin(self.set_name, "force", FACTORS, kind, side, *number, *origin, monte_carlo_error=error)
 
     def limit(
-        self, head: tuple[str, str, str], way: Spread, factor: float, law: str, side: str, origin: tuple[str, str, str]
+        self,
+        quantity: str,
+        method: str,
+        kind: str,
+        way: Spread,
+        factor: float,
+        law: str,
+        side: str,
+        *,
+        clause: str,
+        purpose: str,
+        missing: str = "",
     ) -> Margin:
-        """Margin of a quantity by a factor on a spread, under a law.
-
-        `head` is quantity, method and kind; `origin` clause, purpose, and why there is no value, empty where there is.
-        """
-        quantity, method, kind = head
-        clause, purpose, missing = origin
+        """Margin of a quantity by a factor on a spread, under a law; `missing` says why there is no value."""
         value, formula, inputs = limit(self.samples[quantity], way, factor, law, side)
         number = (math.nan if missing else value, described(quantity).unit, self.devices[quantity], way.degrees)
-        told = (
-            clause,
-            formula,
-            f"{inputs}; spread: {way.origin}",
-            purpose,
-            missing or remarks(way, value),
-            way.warning,
-        )
-        return Margin(self.set_name, quantity, method, kind, side, *number, *told)
+        note = missing or remarks(way, value)
+        origin = Origin(clause, formula, f"{inputs}; spread: {way.origin}", purpose, note, way.warning)
+        return Margin(self.set_name, quantity, method, kind, side, *number, *origin)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import Bounds, Environment
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.row import HIGH, LOW, Margin
+from shj_bayes.margins.spread import HIGH, LOW, Margin, Origin
 
 COMBINATION = {"III": 0.90, "II": 0.70, "I": 0.60}
 """psi_fi by importance class of the structure."""
@@ -50,7 +50,7 @@ def _rows(given: Given) -> Iterator[Margin]:
         (HIGH, basis.force.high, factors.high, "UBDP"),
     ):
         what = "smallest plateau" if side == LOW else "largest force"
-        origin = (
+        origin = Origin(
             "EN 15129; EN 1998-2 Annex J",
             "X x lambda_f1; travel (f4) and speed are in X as measured, psi on what was not measured",
             f"X = {supply:.4g} kN, {basis.force.level(side)} % of the {what} of all runs ({basis.force.words}); "

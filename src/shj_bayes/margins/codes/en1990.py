@@ -19,8 +19,7 @@ from scipy import special
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.row import HIGH, LOW, TESTING, Margin
-from shj_bayes.margins.spread import LOGNORMAL, NORMAL, Spread, sd_of_log
+from shj_bayes.margins.spread import HIGH, LOGNORMAL, LOW, NORMAL, TESTING, Margin, Spread, sd_of_log
 
 CHARACTERISTIC = 0.05
 """Fractile of a characteristic value, Table D1."""
@@ -84,9 +83,9 @@ def _rows(given: Given) -> Iterator[Margin]:
                 few = way.degrees < FEWEST[fractile] - 1
                 missing = f"{clause} has no factor for n = {way.degrees + 1:.3g} with V unknown" if few else ""
                 for law, side in product((LOGNORMAL, NORMAL), (LOW, HIGH)):
-                    head = (quantity, TESTING, f"EN 1990 {word}, {law}, {way.name}")
-                    origin = (f"EN 1990 {clause}", PURPOSE[fractile, side], missing)
-                    yield given.limit(head, way, factor, law, side, origin)
+                    kind, purpose = f"EN 1990 {word}, {law}, {way.name}", PURPOSE[fractile, side]
+                    words = {"clause": f"EN 1990 {clause}", "purpose": purpose, "missing": missing}
+                    yield given.limit(quantity, TESTING, kind, way, factor, law, side, **words)
 
 
 def _check(n: float, degrees: float) -> None:

@@ -16,8 +16,7 @@ from scipy import optimize, special
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.row import HIGH, LOW, TOLERANCE, Margin
-from shj_bayes.margins.spread import COMMON, LOGNORMAL, NORMAL, UNKNOWN
+from shj_bayes.margins.spread import HIGH, LOGNORMAL, LOW, NORMAL, TOLERANCE, V_COMMON, V_UNKNOWN, Margin
 from shj_bayes.population.quantities import FloatArray
 
 CLAUSE = "ISO 16269-6"
@@ -67,40 +66,41 @@ def two_sided(n: float, coverage: float, confidence: float, degrees: float | Non
     z = np.abs(_NODES) / math.sqrt(n)
     half = _half_widths(z, coverage)
 
-    def short_by(k: float) -> float:
+    def confidence_missing(k: float) -> float:
         return float(_WEIGHTS @ special.chdtrc(nu, nu * (half / k) ** 2)) - confidence
 
-    return float(optimize.brentq(short_by, 1e-3, 1e6, xtol=1e-9, rtol=1e-12))
+    return float(optimize.brentq(confidence_missing, 1e-3, 1e6, xtol=1e-9, rtol=1e-12))
 
 
 def _half_widths(z: FloatArray, coverage: float) -> FloatArray:
     """Half-widths r with Phi(z + r) - Phi(z - r) = coverage, from above, where Newton's steps never overshoot."""
 
-    def short_by(r: FloatArray) -> FloatArray:
+    def coverage_beyond(r: FloatArray) -> FloatArray:
         return np.asarray(special.ndtr(z + r) - special.ndtr(z - r) - coverage)
 
     def slope(r: FloatArray) -> FloatArray:
         return np.asarray(np.exp(-0.5 * (z + r) ** 2) + np.exp(-0.5 * (z - r) ** 2)) / math.sqrt(2.0 * math.pi)
 
     first = z + float(special.ndtri(0.5 * (1.0 + coverage)))
-    return np.asarray(optimize.newton(short_by, first, slope, tol=1e-12, maxiter=100))
+    return np.asarray(optimize.newton(coverage_beyond, first, slope, tol=1e-12, maxiter=100))
 
 
 def _rows(given: Given) -> Iterator[Margin]:
     """One- and two-sided limits: of the set's own devices, and with the variance common to all sets."""
     for quantity in given.samples:
         for way, (coverage, confidence) in product(given.ways(quantity), LIMITS):
-            several = ", several samples with a common variance" if way.name == COMMON else ""
+            several = ", several samples with a common variance" if way.name == V_COMMON else ""
             share, sure = 100 * coverage, 100 * confidence
             for form, factor_of, covered in (
                 ("one-sided", one_sided, {LOW: "above it", HIGH: "below it"}),
                 ("two-sided", two_sided, dict.fromkeys((LOW, HIGH), "between both limits")),
             ):
                 factor = factor_of(way.n_mean, coverage, confidence, degrees=way.degrees)
-                for law, side in product((LOGNORMAL, NORMAL) if way.name == UNKNOWN else (LOGNORMAL,), (LOW, HIGH)):
+                for law, side in product((LOGNORMAL, NORMAL) if way.name == V_UNKNOWN else (LOGNORMAL,), (LOW, HIGH)):
                     purpose = f"{share:.0f} % of devices lie {covered[side]}, with a confidence of {sure:.0f} %"
-                    head = (quantity, TOLERANCE, f"tolerance {share:.0f}/{sure:.0f} {form}, {law}, {way.name}")
-                    yield given.limit(head, way, factor, law, side, (f"{CLAUSE}, {form}{several}", purpose, ""))
+                    kind = f"tolerance {share:.0f}/{sure:.0f} {form}, {law}, {way.name}"
+                    words = {"clause": f"{CLAUSE}, {form}{several}", "purpose": purpose}
+                    yield given.limit(quantity, TOLERANCE, kind, way, factor, law, side, **words)
 
 
 CODE = Code("iso16269_6", _rows, 2)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
-from shj_bayes.margins.row import HIGH, LOW, Margin
+from shj_bayes.margins.spread import HIGH, LOW, Margin, Origin
 
 PRACTICE_PHI, PRACTICE_PHI_O = 0.70, 1.40
 """Values in use for high-hardness shims (Bisalloy 400 and harder), recalled from the AFC literature of 2012-14."""
@@ -52,7 +52,7 @@ def _rows(given: Given) -> Iterator[Margin]:
         formula = f"{force.level(side)} % of the delivered force / nominal"
         inputs = f"{force_kN:.4g} kN, nominal {nominal:.4g} kN ({basis.nominal_words}); {force.words}"
         note = f"practice for hardened shims: phi {PRACTICE_PHI:.2f}, phi_o {PRACTICE_PHI_O:.2f}"
-        origin = ("NZ practice for sliding hinge joints", formula, inputs, purpose, note, warning(value, side))
+        origin = Origin("NZ practice for sliding hinge joints", formula, inputs, purpose, note, warning(value, side))
         yield given.of_force(kind, side, value, "1", origin)
 
 

@@ -10,7 +10,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
 SIZE = Prior("size", "1", "uniform", 0.0, 1.0, "Static to kinetic ratio 1 to 2 (NZSEE 1773; spring-asperity bound).")
-GONE = "Sliding starts with a peak {size:.0%} above the plateau that is gone after {length:.1f} mm of sliding."
+STATEMENT = "Sliding starts with a peak {size:.0%} above the plateau that is gone after {length:.1f} mm of sliding."
 
 
 def act(history: History, values: Values, base: Base) -> Contribution:
@@ -81,7 +81,7 @@ _EXPONENTIAL = Effect(
 )
 _WITH_LINEAR = _EXPONENTIAL.with_form(
     "linear",
-    statement=GONE,
+    statement=STATEMENT,
     equation="Fy -> Fy (1 + a max(0, 1 - d/D)), d slid since the reversal",
     parameters=(
         SIZE,
@@ -93,7 +93,7 @@ _WITH_LINEAR = _EXPONENTIAL.with_form(
 )
 _WITH_TORN = _WITH_LINEAR.with_form(
     "torn",
-    statement=GONE,
+    statement=STATEMENT,
     equation="Fy -> Fy (1 + a max(0, 1 - (d/D)^n)), d slid since the reversal",
     parameters=(
         SIZE,

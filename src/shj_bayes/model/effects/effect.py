@@ -1,13 +1,18 @@
-"""What a physical effect is: words, parameters with priors, and what it does to the law."""
+"""What a physical effect is: words, parameters with priors, and what it does to the law; and all that there are.
+
+Every module of this package that holds an ``EFFECT`` is one; adding a file is enough.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import cache, reduce
 from typing import NamedTuple
 
+from shj_bayes._util.imports import discovered
 from shj_bayes.errors import ModelError
+from shj_bayes.model import effects
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
@@ -185,3 +190,15 @@ def _joined(a: Contribution, b: Contribution) -> Contribution:
         gamma_s_per_mm=a.gamma_s_per_mm + b.gamma_s_per_mm,
         second_surface=(a if a.second_surface[0] > 0 else b).second_surface,
     )
+
+
+@cache
+def _discovered() -> tuple[Effect, ...]:
+    """Effects by family, in the order of `FAMILIES`, then by id."""
+    found = discovered(effects, "EFFECT", ModelError)
+    return tuple(sorted(found, key=lambda effect: (FAMILIES.index(effect.family), effect.id)))
+
+
+def catalogue() -> dict[str, Effect]:
+    """Every effect by id, in a fixed order: family, then id; behind each the other forms of its mechanism."""
+    return {one.id: one for effect in _discovered() for one in (effect, *effect.forms)}

@@ -5,8 +5,18 @@ r_i = phi r_(i-1) + sigma sqrt(1 - phi^2) z_i, z ~ N(0, 1): the parameters hold 
 
 import numpy as np
 
-from shj_bayes.model.noise.noise import Noise, NoiseComponents, Values, gaussian
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes._util.arrays import FloatArray
+from shj_bayes.model.noise.noise import SIGMA, Noise, NoiseComponents, NoiseParameter, Values, gaussian
+
+PHI = NoiseParameter(
+    "phi",
+    "1",
+    "lag-one noise correlation at the sampling rate",
+    (-0.3, 0.3, 0.8, 0.98),
+    (0.1, 0.8),
+    0.5,
+    bounds=(-1.0, 1.0),
+)
 
 
 def parts(values: Values) -> NoiseComponents:
@@ -19,4 +29,4 @@ def decay(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
     return np.asarray(np.power(values["phi"], np.rint(seconds[:, None] / step_s)))
 
 
-NOISE = Noise(id="ar1", parameters=("sigma", "phi"), parts=parts, decay=decay)
+NOISE = Noise(id="ar1", own=(SIGMA, PHI), parts=parts, decay=decay)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from shj_bayes.model.noise.noise import Noise, NoiseComponents, Values, gaussian
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes._util.arrays import FloatArray
+from shj_bayes.model.noise.noise import SIGMA, Noise, NoiseComponents, Values, gaussian
 
 
 def parts(values: Values) -> NoiseComponents:
@@ -16,4 +16,4 @@ def decay(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
     return np.zeros((seconds.size, values["sigma"].size))
 
 
-NOISE = Noise(id="independent", parameters=("sigma",), parts=parts, decay=decay)
+NOISE = Noise(id="independent", own=(SIGMA,), parts=parts, decay=decay)

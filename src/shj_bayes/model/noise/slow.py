@@ -3,7 +3,7 @@
 r(t) = w(t) + s(t), sd(w) = sigma_white, cov(s(t), s(t')) = sigma_slow^2 exp(-|t - t'| / tau_slow).
 """
 
-from shj_bayes.model.noise.noise import Noise, NoiseComponents, Values, exponential, gaussian
+from shj_bayes.model.noise.noise import SLOW, TAU, WHITE, Noise, NoiseComponents, Values, exponential, gaussian
 
 
 def parts(values: Values) -> NoiseComponents:
@@ -11,4 +11,4 @@ def parts(values: Values) -> NoiseComponents:
     return gaussian(values["sigma_white"], values["sigma_slow"])
 
 
-NOISE = Noise(id="slow", parameters=("sigma_white", "sigma_slow", "tau_slow"), parts=parts, decay=exponential)
+NOISE = Noise(id="slow", own=(WHITE, SLOW, TAU), parts=parts, decay=exponential)

@@ -3,7 +3,9 @@
 As `slow`, with (r_i - E[r_i | before]) / sd[r_i | before] ~ t_nu for each average of samples.
 """
 
-from shj_bayes.model.noise.noise import Noise, NoiseComponents, Values, exponential
+from shj_bayes.model.noise.noise import SLOW, TAU, WHITE, Noise, NoiseComponents, NoiseParameter, Values, exponential
+
+NU = NoiseParameter("nu", "1", "degrees of freedom of the noise (large is Gaussian)", (4.0, 30.0), (5.0,), 10.0)
 
 
 def parts(values: Values) -> NoiseComponents:
@@ -11,4 +13,4 @@ def parts(values: Values) -> NoiseComponents:
     return NoiseComponents(values["sigma_white"], values["sigma_slow"], values["nu"])
 
 
-NOISE = Noise(id="student", parameters=("sigma_white", "sigma_slow", "tau_slow", "nu"), parts=parts, decay=exponential)
+NOISE = Noise(id="student", own=(WHITE, SLOW, TAU, NU), parts=parts, decay=exponential)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.report.force_unit import KN, ForceUnit
+from shj_bayes.report.words import KN, ForceUnit
 
 # Okabe and Ito: told apart with every common form of colour blindness, and (by lightness) in grey print.
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY = "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"

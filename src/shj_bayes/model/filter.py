@@ -44,11 +44,13 @@ N_ROWS = 17
 # the first and the last of these over the half-cycles so far.
 (
     STATE, VARIANCE, TURN, WHITE, SLOW, ACROSS, ALONG, OWN, PRODUCT, TOTAL, LAST,
-    ZERO, WITH_NEW, WITH_TURN, WITH_SELF, KNOWN, KNOWN_SELF,
+    ZERO, WITH_NEW, WITH_TURN, WITH_SELF, ALL_WITH_NEW, ALL_WITH_SELF,
 ) = range(0, N_ROWS * LANES, LANES)  # fmt: skip
 LARGE_NU = 1e300  # beyond it Student's t is the normal law
 TOGETHER = 16  # variances that are multiplied before their logarithm is taken: within doubles from 1e-9 to 1e9 kN
 SHORT = 1e-4  # of the memory: a block for which the series is the more exact
+LOW_SPEED = 0.4  # of the peak speed, below which the noise may be another one
+AT_REST_SD = 0.7  # sd before the test of the logarithm of its ratio: a factor of two either way
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,13 +133,13 @@ def whiten(
     columns: FloatArray,
     slope: FloatArray,
     timing: Timing,
-    rougher: FloatArray | None = None,
+    factor: FloatArray | None = None,
 ) -> tuple[FloatArray, float]:
     """Take from each column what the noise before predicts, in units of the standard deviation of what is new.
 
     The noise of whitened columns, shape (n, p), is independent and of unit variance. Errors of turning points count as
-    independent from block to block, the zero of the load cell as known, heavy tails as normal ones. `rougher`, shape
-    (n,), is a factor on all noise of each block, by default 1. Gives the whitened columns of the blocks that are
+    independent from block to block, the zero of the load cell as known, heavy tails as normal ones. `factor`, shape
+    (n,), is one on all noise of each block, by default 1. Gives the whitened columns of the blocks that are
     evidence, and the log determinant of the covariance; other arguments as for `log_density`, of one parameter set.
     """
     rows = {name: np.array([value]) for name, value in values.items()}
@@ -145,7 +147,7 @@ def whiten(
     table = table_of(noise, rows, timing)[0]
     own = timing.kind >= 0
     out = np.empty((int(np.count_nonzero(own)), columns.shape[1]))
-    factor = np.ones(own.size) if rougher is None else rougher
+    factor = np.ones(own.size) if factor is None else factor
     turning = np.repeat(timing.turning_noise_mm, np.diff(timing.half))
     steepness = timing.displacement_noise_mm**2 * timing.share[:, 1] + turning**2
     white = parts.white_kN[0] ** 2 * timing.share[:, 0] + steepness * (slope / factor) ** 2
@@ -269,7 +271,7 @@ def _filter(out, residual, slope, kind, share, table, half, scales, errors, nois
                 # Variances that vanish together: so little noise has no density, not an infinite one.
                 out[first + lane, k] = value if value < math.inf else -math.inf
         for lane in range(min(LANES, m - first)):
-            out[first + lane, -2], out[first + lane, -1] = work[KNOWN + lane], work[KNOWN_SELF + lane]
+            out[first + lane, -2], out[first + lane, -1] = work[ALL_WITH_NEW + lane], work[ALL_WITH_SELF + lane]
 
 
 @njit(error_model="numpy", inline="always")
@@ -278,12 +280,14 @@ def _about_zero(work, lane, turn, variance):  # type: ignore[no-untyped-def]
 
     From the left: the squares alone may overflow.
     """
-    before = 1.0 + variance * work[KNOWN_SELF + lane]
-    gain = work[KNOWN + lane] * (work[KNOWN + lane] / before)
-    work[KNOWN + lane] += work[WITH_NEW + lane] - turn * work[ALONG + lane] * work[WITH_TURN + lane]
-    work[KNOWN_SELF + lane] += work[WITH_SELF + lane] - turn * work[WITH_TURN + lane] * work[WITH_TURN + lane]
-    after = 1.0 + variance * work[KNOWN_SELF + lane]
-    return 0.5 * (variance * (work[KNOWN + lane] * (work[KNOWN + lane] / after) - gain) - math.log(after / before))
+    before = 1.0 + variance * work[ALL_WITH_SELF + lane]
+    gain = work[ALL_WITH_NEW + lane] * (work[ALL_WITH_NEW + lane] / before)
+    work[ALL_WITH_NEW + lane] += work[WITH_NEW + lane] - turn * work[ALONG + lane] * work[WITH_TURN + lane]
+    work[ALL_WITH_SELF + lane] += work[WITH_SELF + lane] - turn * work[WITH_TURN + lane] * work[WITH_TURN + lane]
+    after = 1.0 + variance * work[ALL_WITH_SELF + lane]
+    return 0.5 * (
+        variance * (work[ALL_WITH_NEW + lane] * (work[ALL_WITH_NEW + lane] / after) - gain) - math.log(after / before)
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -294,7 +298,7 @@ def _load(lines, factors, work, residual, slope, table, scales, first):  # type:
         j = min(first + lane, m - 1)
         work[WHITE + lane], work[SLOW + lane] = scales[j, 0], scales[j, 1]
         work[STATE + lane], work[VARIANCE + lane] = 0.0, scales[j, 1]
-        work[ZERO + lane] = work[KNOWN + lane] = work[KNOWN_SELF + lane] = 0.0
+        work[ZERO + lane] = work[ALL_WITH_NEW + lane] = work[ALL_WITH_SELF + lane] = 0.0
         for c in range(table.shape[1]):
             for q in range(5):
                 factors[(c * 5 + q) * LANES + lane] = table[j, c, q]
@@ -377,3 +381,13 @@ def _recurse(decay, draw):  # type: ignore[no-untyped-def]
         before = decay[i] * before + math.sqrt(1.0 - decay[i] * decay[i]) * draw[i]
         out[i] = before
     return out
+
+
+def slowness(speed_mm_s: FloatArray, peak_mm_s: float) -> FloatArray:
+    """How far each speed is a low one, 1 at rest to 0 at the peak."""
+    return np.asarray(np.exp(-((speed_mm_s / (LOW_SPEED * peak_mm_s)) ** 2)))
+
+
+def sd_over_speed(at_rest: float, slow: FloatArray) -> FloatArray:
+    """Give the standard deviation of the noise over that at speed, from its logarithm at rest and from `slowness`."""
+    return np.asarray(1.0 + math.expm1(at_rest) * slow)
