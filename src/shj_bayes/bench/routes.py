@@ -74,7 +74,7 @@ class Bench:
         self.token, self.cookie = secrets.token_hex(32), secrets.token_hex(32)
         self.listeners: set[asyncio.Queue[tuple[str, Any]]] = set()
         self.last_seen = time.monotonic()
-        self.overview: dict[str, Any] = {"error": "", "devices": [], "pooled": False, "pages": []}
+        self.overview: dict[str, Any] = {"devices": []}
         self.port = 0
         self.checked: dict[str, tuple[str, dict[str, Any]]] = {}  # by device: what it was, and what the check said
         self.read: dict[str, tuple[str, dict[str, Any]]] = {}  # by file: how it was read, and what was found
@@ -129,6 +129,7 @@ class Bench:
             "folder": self.session.folder.name,
             "error": self.overview["error"],
             "pooled": self.overview["pooled"],
+            "changed": self.overview["changed"],
             "pages": self.overview["pages"],
             "files": [{"id": key, "name": path.name} for key, path in self.session.files.items()],
             "sets": sets,
@@ -285,6 +286,9 @@ async def upload(bench: Bench, request: Request) -> Any:
     with replacing(path) as part, part.open("wb") as stream:
         async for piece in body_of(request, MAX_BYTES):
             stream.write(piece)
+    if (there := bench.session.same_as(path)) is not None:
+        path.unlink()
+        return {**await bench.found_in(there), "already": True}
     form = (await bench.jobs.ask("read_file", bench.session.folder, path, {}))["form"]
     found = await bench.found_in(bench.session.add(path, form))
     bench.say("changed", "file")

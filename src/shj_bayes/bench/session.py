@@ -16,7 +16,7 @@ from typing import Any
 
 import tomlkit
 
-from shj_bayes._util.files import plain_name, read_json, write_text
+from shj_bayes._util.files import file_digest, plain_name, read_json, write_text
 from shj_bayes.errors import CampaignError, plain_lines, plain_text, shown
 
 MANIFEST, MEMORY, RECORDINGS = "campaign.toml", "bench/memory.json", "recordings"
@@ -170,6 +170,14 @@ class Session:
         folder.mkdir(parents=True, exist_ok=True)
         tries = (f"{stem or 'recording'}{f'-{n}' if n else ''}{dot}{endings}" for n in count())
         return next(folder / one for one in tries if not (folder / one).exists())
+
+    def same_as(self, path: Path) -> str | None:
+        """Find a file of the folder with the same content, by its id."""
+        size, digest = path.stat().st_size, file_digest(path)
+        for key, one in self.files.items():
+            if one != path and one.is_file() and one.stat().st_size == size and file_digest(one) == digest:
+                return key
+        return None
 
     @property
     def history(self) -> Path | None:

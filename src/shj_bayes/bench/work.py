@@ -29,8 +29,9 @@ from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.runs import describe, settle, to_dict
 from shj_bayes.report import words
 from shj_bayes.report.browse import recording_viewer
-from shj_bayes.report.check_words import check_lines, confusion_rows, doubt_lines, parameter_rows
+from shj_bayes.report.check_words import check_lines, confusion_rows, doubt_lines, headline, parameter_rows
 from shj_bayes.report.margins_page import shown_cards
+from shj_bayes.report.sets import PLATEAUS, plain_words
 from shj_bayes.report.words import force_unit
 from shj_bayes.results.campaign import CampaignRecord
 from shj_bayes.results.diagnosis import DiagnosisRecord, LeftOver
@@ -95,21 +96,28 @@ def _digest(*texts: str) -> str:
     return hashlib.sha256("\0".join(texts).encode("utf-8", "replace")).hexdigest()[:16]
 
 
+NOTHING: Told = {"error": "", "devices": [], "pooled": False, "changed": False, "pages": []}
+
+
 def overview(folder: Path, tell: Tell) -> Told:
     """Say what of the campaign is done: the verdicts and numbers of each device, and which pages there are."""
     if not (folder / MANIFEST).is_file():
-        return {"error": "", "devices": [], "pooled": False, "pages": []}
+        return dict(NOTHING)
     try:
         manifest = read_manifest(folder / MANIFEST)
     except ShjError as error:
-        return {"error": str(error), "devices": [], "pooled": False, "pages": []}
+        return NOTHING | {"error": str(error)}
     record = find(CampaignRecord, folder)
     devices = [_state(folder, device) for device in manifest.devices]
     done = {(name, one.name) for name, one in record.devices if one.status != "failed"} if record else set()
     fitted = {(one["set"], one["name"]) for one in devices if one["fit"]}
-    pooled = bool(fitted) and (folder / "population.json").is_file() and done == fitted
+    there = bool(done) and (folder / "population.json").is_file()
+    told = {one.name: (one.connection, one.note or "") for one in record.sets} if record else {}
+    now = {device.set_name: (device.connection, device.set_note) for device in manifest.devices}
+    pooled = there and done == fitted and told == now
     pages = [name for name in ("report", "margins") if (folder / f"{name}.html").is_file()]
-    return {"error": "", "devices": devices, "pooled": pooled, "pages": pages if pooled else []}
+    own = {"pooled": pooled, "changed": there and not pooled, "pages": pages if pooled else []}
+    return {"error": "", "devices": devices, **own}
 
 
 def _state(folder: Path, device: Device) -> Told:
@@ -174,6 +182,7 @@ def check(folder: Path, set_name: str, name: str, tell: Tell) -> Told:
         "confusions": confusion_rows(said),
         "rows": parameter_rows(said),
         "rmse": rmse,
+        "headline": headline(said),
         "half_cycles": said.half_cycles,
         "viewer": recording_viewer([(run.recording, run.motion) for run in runs], answer.force_kN),
     }
@@ -249,7 +258,8 @@ def compare(folder: Path, set_a: str, set_b: str, tell: Tell) -> Told:
     """Compare two sets."""
     record, _ = compare_sets(folder, set_a, set_b)
     write_comparison(record, folder / "compare")
-    return record
+    first = [plain_words(row, set_a, set_b) for row in record["contrasts"] if row["quantity"] in PLATEAUS]
+    return {**record, "first": first}
 
 
 def plan(folder: Path, set_name: str, name: str, limits: Mapping[str, Any], tell: Tell) -> Told:

@@ -151,6 +151,13 @@ def _facts(sheet: Sheet, name: str, index: Mapping[Key, Margin]) -> Iterator[tup
             f"slip of {tested.smallest_mm:.3g} to {tested.largest_mm:.3g} mm, cycles of {tested.slowest_mm_s:.3g} to "
             f"{tested.fastest_mm_s:.3g} mm/s ({tested.source})",
         )
+        travel = sheet.connections.get(name, Connection()).travel_mm
+        if travel is not None and travel < tested.largest_mm:
+            yield (
+                "TO MIND",
+                f"the tests slid to {tested.largest_mm:.3g} mm, and a slot of this length ends at {travel:.3g} mm: "
+                "check slot and bolt, and where displacement was measured",
+            )
     yield "holds for", f"{sheet.share} of new devices {sheet.holds}, in {sheet.history}"
     age = index.get((name, "force", "lambda_ae,min", LOW))
     if age is not None:

@@ -27,6 +27,18 @@ def unit_of(said: Identifiability) -> ForceUnit:
     return unit_for(next((row.mean for row in said.parameters if row.name == "Fy"), None))
 
 
+def headline(said: Identifiability) -> str:
+    """Say in a sentence at which force the device slides, and how stiff it is before."""
+    unit, rows = unit_of(said), {row.name: row for row in said.parameters}
+    K, Fy = rows["K"], rows["Fy"]
+    at = f", at about {words.short(said.one_speed_mm_s)} mm/s" if said.one_speed_mm_s is not None else ""
+    least = "" if said.least_kN is None else unit.shown(said.least_kN)
+    slides = f"Slides at {least} or more as tested{at} (the smallest plateau of the last run). " if least else ""
+    name, factor = unit.of(K.unit)
+    stiff = f"{words.short(factor * K.mean)} {name}"
+    return f"{slides}Fy, the force at standstill in the first run: {unit.shown(Fy.mean)}; initial stiffness: {stiff}."
+
+
 def parameter_rows(said: Identifiability) -> list[dict[str, str]]:
     """Give the rows of a table: what each parameter is, its value, its width after and before the test."""
     unit, out = unit_of(said), []

@@ -9,7 +9,8 @@ from shj_bayes.margins.codes.en15129 import kind_of
 from shj_bayes.margins.files import CardLine, cards, degrees_words, shown
 from shj_bayes.margins.history import published_factors
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet
-from shj_bayes.margins.spread import DESIGN, HIGH, LOW, MIDDLE, SPREAD, Key, Margin
+from shj_bayes.margins.spread import DESIGN, HIGH, LOW, MIDDLE, SPREAD, USE, Key, Margin
+from shj_bayes.margins.uses import LARGEST, SUM
 from shj_bayes.margins.virtual_test import STEP, CyclePoint, over_amplitude
 from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.predict import LoopBand
@@ -97,7 +98,7 @@ def shown_cards(sheet: Sheet) -> list[dict[str, Any]]:
         {
             "name": name_of(card.set_name),
             "facts": card.facts,
-            "lines": [line_words(line) for line in card.lines],
+            "lines": [line_words(line, several=(sheet.together or 1) > 1) for line in card.lines],
             "curve": curve_rows([p for p in points if p.set_name == card.set_name]),
         }
         for card in cards(sheet)
@@ -118,8 +119,11 @@ def curve_rows(points: Sequence[CyclePoint]) -> list[list[str]]:
     return rows
 
 
-def line_words(line: CardLine) -> dict[str, Any]:
-    """Give a line of a card as texts: use, values, unit, largest error from the draws, clause with what to mind."""
+def line_words(line: CardLine, *, several: bool = False) -> dict[str, Any]:
+    """Give a line of a card as texts: use, values, unit, largest error from the draws, clause with what to mind.
+
+    ``main`` is what to use first, of one connection or of `several`; ``own`` what no design code states.
+    """
     rows = [row for row in (line.low, line.middle, line.high) if row]
     values = [told(row) if row else "" for row in (line.low, line.middle, line.high)]
     notes = [line.clause, *(row.warning for row in rows if row.warning)]
@@ -127,7 +131,8 @@ def line_words(line: CardLine) -> dict[str, Any]:
     clause = "; ".join(filter(None, dict.fromkeys(notes)))
     said = {"use": line.use, "values": values, "unit": unit, "clause": clause}
     said["error"] = f"{float(f'{error:.1g}'):g}" if error else ""  # one digit, and 10 in the place of 1e+01
-    return said | {"main": rows[0].method == DESIGN}
+    main = rows[0].kind in (SUM, LARGEST) if several else rows[0].method == DESIGN
+    return said | {"main": main, "own": rows[0].method in (DESIGN, USE)}
 
 
 def band_words(index: Mapping[Key, Margin], name: str, quantity: str, factor: float = 1.0) -> list[str]:

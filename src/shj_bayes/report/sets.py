@@ -148,6 +148,21 @@ TRUSTED = 0.95
 TESTS = {"permutation": "the exact permutation", "Welch": "Welch's test"}
 
 
+PLATEAUS = ("plateau", "plateau_2", "plateau_3")  # mean forces as tested, of the runs
+
+
+def plain_words(row: Mapping[str, Any], a: str, b: str) -> str:
+    """Say in a sentence how much more or less one side slides at as tested; `row` is one of ``contrasts`` in files."""
+    run = PLATEAUS.index(row["quantity"]) + 1
+    low, middle, high = (100.0 * (row[key] - 1.0) for key in ("q05", "q50", "q95"))
+    size = f"{abs(middle):.0f} % {'more' if middle > 0 else 'less'}"
+    settled = "settled" if row["direction"] == Direction.SETTLED else "not settled"
+    return (
+        f"As tested, in run {run}, {a} slides at {size} force than {b} (90 % interval {low:+.0f} to {high:+.0f} %): "
+        f"{settled} with {row['n_a']} and {row['n_b']} devices."
+    )
+
+
 def contrast_words(c: Contrast, side_a: str, side_b: str) -> str:
     """Say how two sides differ in one quantity, what their devices showed, how sure that is, and what would decide."""
     seen = "" if c.observed is None else f", observed {_amount(c, c.observed)}"

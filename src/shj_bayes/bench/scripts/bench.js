@@ -70,7 +70,11 @@ bench.loops = (viewer) => {
 bench.lines = (lines, kind = "") => el("ul", {}, ...lines.map((line) => el("li", { class: kind }, line)));
 bench.again = (command) => el("details", {}, el("summary", {}, "The same by the command line"), el("code", { class: "again" }, command));
 bench.table = (caption, heads, rows) => el("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption }, el("table", {}, el("caption", {}, caption), el("thead", {}, el("tr", {}, ...heads.map((head) => el("th", {}, head)))), el("tbody", {}, ...rows.map((row) => el("tr", {}, ...row.map((cell, i) => el(i ? "td" : "th", {}, cell)))))));
-bench.page = (of, name, title) => el("iframe", { class: "page", src: `/page/${of}/${name}`, title });
+bench.page = (of, name, title) => [el("p", {}, el("a", { href: `/page/${of}/${name}`, target: "_blank", rel: "noopener" }, "Open it in a tab of its own")), el("iframe", { class: "page", src: `/page/${of}/${name}`, title })];
+bench.inside = (frame, nodes) => {
+  frame.replaceChildren(...nodes);
+  frame.scrollIntoView();
+};
 
 /* The step that the address names is shown. */
 const step = () => {
@@ -82,7 +86,7 @@ const step = () => {
   }
   for (const show of bench.shown) show();
 };
-addEventListener("hashchange", step);
+addEventListener("hashchange", () => { bench.say(""); step(); });
 bench.open = (id) => { location.hash = `#${id}`; };
 
 /* What changes is told by the server; after a while without it, everything is asked for again. */

@@ -27,11 +27,12 @@
     const fitted = devices.filter((device) => device.fit);
     const open = devices.length - fitted.length;
     at("pool-state").textContent = bench.state.pooled
-      ? `${fitted.length} devices of ${bench.state.sets.length} ${bench.state.sets.length === 1 ? "set" : "sets"} are pooled.`
+      ? `${fitted.length} devices of ${new Set(fitted.map((device) => device.group.id)).size} ${bench.state.sets.length === 1 ? "set" : "sets"} are pooled: what they say together holds for the next device.`
       : fitted.length
-        ? `${fitted.length} of ${devices.length} devices are fitted${open ? "; pooling fits the others first" : ""}. Pool them to get margins.`
+        ? `${fitted.length} of ${devices.length} devices are fitted${open ? "; the others are fitted first" : ""}.`
         : "No device is fitted yet: check and fit first.";
-    at("pool").textContent = bench.state.pooled ? "Pool them again" : "Pool the devices";
+    if (bench.state.changed) at("pool-state").textContent += " Devices, sets or connections have changed since the margins were drawn up: compute them again.";
+    at("pool").textContent = bench.state.pooled ? "Compute them again" : "Compute the design forces";
     at("designer").hidden = !bench.state.pooled;
     bars();
     if (!bench.state.pooled) return;
@@ -49,7 +50,7 @@
   const pages = () => {
     const frame = el("div", {});
     const titles = { report: "Report of all devices", margins: "Sheet of margins" };
-    at("report").replaceChildren(el("h2", {}, "Pages"), el("div", { class: "tabs" }, ...bench.state.pages.map((name) => el("button", { type: "button", onclick: () => frame.replaceChildren(bench.page("campaign", name, titles[name])) }, titles[name]))), frame);
+    at("report").replaceChildren(el("h2", {}, "Pages"), el("div", { class: "tabs" }, ...bench.state.pages.map((name) => el("button", { type: "button", onclick: () => bench.inside(frame, bench.page("campaign", name, titles[name])) }, titles[name]))), frame);
   };
 
   const wanted = () => {
@@ -82,8 +83,11 @@
   const draw = (found) => {
     const name = at("asked").elements.set.selectedOptions[0]?.textContent;
     const card = found.cards.find((one) => one.name === name) ?? found.cards[0];
-    const rows = card.lines.map((line) => [line.use, ...line.values.map((value, i) => (value ? el("span", { class: line.main ? "big" : "" }, i === 0 || i === 2 || value ? value : "") : "")), line.unit, line.clause]);
-    const parts = [bench.table(`${card.name}: one connection`, ["Use", "For drift: lower", "Typical", "For capacity: upper", "Unit", "Clause, or what it is"], rows)];
+    const shown = (value, line) => (value ? el("span", { class: line.main ? "big" : "" }, `${value}${line.unit ? ` ${line.unit}` : ""}`) : "");
+    const rows = (lines) => lines.map((line) => [line.use, ...line.values.map((value) => shown(value, line)), line.clause]);
+    const heads = ["Use", "For drift: lower", "Typical", "For capacity: upper", "Clause, or what it is"];
+    const first = card.lines.filter((line) => line.own);
+    const parts = [bench.table(`${card.name}: forces`, heads, rows(first)), el("details", {}, el("summary", {}, "By design code, and all other lines"), bench.table(`${card.name}: all lines`, heads, rows(card.lines.filter((line) => !line.own))))];
     parts.push(el("dl", {}, ...card.facts.flatMap(([head, said]) => [el("dt", {}, el("strong", {}, head)), el("dd", {}, said)])));
     if (found.warnings.length) parts.push(el("details", {}, el("summary", {}, `To mind (${found.warnings.length})`), bench.lines(found.warnings)));
     parts.push(bench.again(found.command));
@@ -124,7 +128,7 @@
     const found = await bench.ask("/api/compare", "POST", { a, b });
     if (!found) return;
     const number = (value) => (value === null || value === undefined ? "-" : Number(value).toPrecision(3));
-    at("comparison").replaceChildren(bench.lines([...found.contrasts.map((one) => one.sentence), ...found.curves.map((one) => one.sentence)]), bench.table(`${found.set_a} over ${found.set_b}, or their difference`, ["Quantity", "Middle", "90 % interval", "P(first above)", "P(alike)"], found.contrasts.map((one) => [bench.term(one.quantity), number(one.q50), `${number(one.q05)} to ${number(one.q95)}`, number(one.probability_level), number(one.probability_rope)])), el("p", {}, found.multiplicity), bench.again(found.command));
+    at("comparison").replaceChildren(bench.lines(found.first), bench.table(`${found.set_a} over ${found.set_b}, or their difference`, ["Quantity", "Middle", "90 % interval", "P(first above)", "P(alike)"], found.contrasts.map((one) => [bench.term(one.quantity), number(one.q50), `${number(one.q05)} to ${number(one.q95)}`, number(one.probability_level), number(one.probability_rope)])), el("details", {}, el("summary", {}, "Every quantity in a sentence, and what many comparisons mean"), bench.lines([...found.contrasts.map((one) => one.sentence), ...found.curves.map((one) => one.sentence)]), el("p", {}, found.multiplicity)), bench.again(found.command));
   });
   at("planned").addEventListener("submit", async (event) => {
     event.preventDefault();
@@ -141,6 +145,6 @@
       bench.say("The devices are pooled: margins, comparison and report are here.");
     }
     if (job.kind === "margins") bench.say("The sheet of margins was written: see the pages below.");
-    if (job.kind === "plan") at("report").replaceChildren(el("h2", {}, "Next test"), bench.page(job.target, "plan", "plan of the next test"), el("p", {}, el("button", { type: "button", onclick: pages }, "Other pages")));
+    if (job.kind === "plan") at("report").replaceChildren(el("h2", {}, "Next test"), ...bench.page(job.target, "plan", "plan of the next test"), el("p", {}, el("button", { type: "button", onclick: pages }, "Other pages")));
   };
 })();

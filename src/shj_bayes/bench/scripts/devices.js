@@ -1,7 +1,7 @@
 /* Devices and sets: arranged by dragging or from lists; checked, fitted and diagnosed. */
 "use strict";
 (() => {
-  const CONNECTION = [["bolts", "bolts", "number"], ["bolt_mm", "bolt diameter (mm)", "number"], ["bolt_grade", "bolt grade", "text"], ["surfaces", "sliding surfaces of a bolt", "number"], ["clamping_kN", "clamping of a bolt (kN)", "number"], ["slot_mm", "slot length (mm)", "number"], ["shim", "shim", "text"], ["finish", "surfaces", "text"]];
+  const CONNECTION = [["bolts", "bolts", "number"], ["bolt_mm", "bolt diameter (mm)", "number"], ["bolt_grade", "bolt grade", "text"], ["surfaces", "sliding surfaces of a bolt (2 where left out)", "number"], ["clamping_kN", "clamping of a bolt (kN)", "number"], ["slot_mm", "slot length (mm)", "number"], ["shim", "shim, such as Bisalloy 500", "text"], ["finish", "its surface, such as mill scale", "text"]];
   let dragged = null;
 
   const nameOf = (id) => bench.state.files.find((file) => file.id === id)?.name ?? id;
@@ -85,11 +85,10 @@
     one.name = name;
     send(sets, `Renamed to ${name}.`);
   };
-  const note = (kind, entry) => el("label", {}, "Note, for the report", el("textarea", { rows: 2, cols: 40, onchange: async (event) => {
-    const said = kind === "sets" ? { note: event.target.value, connection: entry.connection } : { note: event.target.value };
-    const state = await bench.ask(`/api/${kind}/${entry.id}/about`, "PUT", said);
-    if (state) { bench.take(state); bench.say("The note was kept."); }
-  } }, entry.note));
+  const note = (device) => el("label", {}, "Note, for the report", el("textarea", { rows: 2, cols: 40, onchange: async (event) => {
+    const state = await bench.ask(`/api/devices/${device.id}/about`, "PUT", { note: event.target.value });
+    if (state) { bench.take(state); bench.say(`The note on ${device.name} was kept.`); }
+  } }, device.note));
 
   const READING = ["columns", "units", "rate_Hz", "sheet", "runs"];
   const OPTIONS = { model: ["published", "continuous"], noise: ["slow", "ar1", "independent", "student"], priors: ["afc", "general"] };
@@ -115,22 +114,36 @@
   const deviceItem = (group, device) => {
     const choice = el("select", { "aria-label": `move ${device.name} to` }, el("option", { value: "" }, "move to ..."), ...bench.state.sets.filter((one) => one.id !== group.id).map((one) => el("option", { value: one.id }, one.name)));
     choice.addEventListener("change", () => choice.value && moveDevice(device.id, choice.value));
-    const item = el("div", { class: "device-item" }, renamed(device.name, `name of device ${device.name}`, (name) => rename(device.id, name)), " ", bench.state.sets.length > 1 ? choice : "", el("ol", {}, ...device.files.map((file, i) => fileItem(device, file, i))), options(device), el("details", {}, el("summary", {}, "Note"), note("devices", device)));
+    const item = el("div", { class: "device-item" }, renamed(device.name, `name of device ${device.name}`, (name) => rename(device.id, name)), " ", bench.state.sets.length > 1 ? choice : "", el("ol", {}, ...device.files.map((file, i) => fileItem(device, file, i))), options(device), el("details", {}, el("summary", {}, "Note"), note(device)));
     return target(draggable(item, { device: device.id }), (what) => what.file && !device.files.includes(what.file), (what) => moveFile(what.file, device.id));
   };
   const connection = (group) => {
     const fields = CONNECTION.map(([name, words, type]) => el("label", {}, words, el("input", { name, type, step: "any", min: "0", value: group.connection[name] ?? "" })));
     const place = el("select", { name: "displacement" }, ...[["", "not said"], ["device", "across the sliding surfaces"], ["machine", "at the machine, with grips and frame"]].map(([value, words]) => el("option", { value, selected: (group.connection.displacement ?? "") === value }, words)));
-    const form = el("form", { class: "fields" }, ...fields, el("label", {}, "displacement measured", place), el("button", { type: "submit" }, "Keep"));
+    const note = el("textarea", { name: "note", rows: 2, cols: 40 }, group.note);
+    const others = bench.state.sets.filter((one) => one.id !== group.id && Object.keys(one.connection).length);
+    const copy = el("select", { "aria-label": `take the connection of another set for ${group.name}`, onchange: () => {
+      const from = others.find((one) => one.id === copy.value);
+      for (const field of form.elements) if (from && field.name in { ...from.connection }) field.value = from.connection[field.name];
+    } }, el("option", { value: "" }, "as in another set ..."), ...others.map((one) => el("option", { value: one.id }, one.name)));
+    const form = el("form", { class: "fields" }, ...fields, el("label", {}, "displacement measured", place), ...(others.length ? [el("label", {}, "take over", copy)] : []), el("label", {}, "note, for the report", note), el("button", { type: "submit" }, "Keep connection and note"));
     form.addEventListener("submit", async (event) => {
       event.preventDefault();
-      const state = await bench.ask(`/api/sets/${group.id}/about`, "PUT", { connection: Object.fromEntries(new FormData(form)), note: group.note });
-      if (state) { bench.take(state); bench.say(`The connection of ${group.name} was kept.`); }
+      const { note: words, ...said } = Object.fromEntries(new FormData(form));
+      document.activeElement.blur();
+      const state = await bench.ask(`/api/sets/${group.id}/about`, "PUT", { connection: said, note: words });
+      if (state) { bench.take(state); bench.say(`The connection of ${group.name} and its note were kept.`); }
     });
-    return el("details", {}, el("summary", {}, "One connection as tested: bolts, clamping, slot"), form, note("sets", group));
+    return el("details", {}, el("summary", {}, "One connection as tested: bolts, clamping, slot; note"), form);
   };
   const cards = () => {
     if (at("sets").hidden) return;
+    const typed = [...document.querySelectorAll("#set-cards :is(input, textarea)")].find((field) => field === document.activeElement && field.value !== field.defaultValue);
+    if (typed) {
+      /* What is being typed stays; the cards are drawn when it is done. */
+      typed.addEventListener("blur", () => setTimeout(cards, 300), { once: true });
+      return;
+    }
     if (!bench.state.files.length) {
       at("set-cards").replaceChildren(el("p", {}, "No devices yet: drop recordings in the first step."));
       return;
@@ -173,10 +186,12 @@
     const devices = bench.devices();
     at("device-rows").replaceChildren(...devices.map((device) => {
       const job = bench.jobOf("fit", device.id);
-      const fit = job ? bench.bar(job) : el("span", { class: VERDICT[device.fit] ?? "" }, device.fit ?? "");
-      return el("tr", { class: device.id === chosen ? "chosen" : "" }, el("th", {}, el("button", { type: "button", onclick: () => pick(device.id) }, device.name), el("span", { class: "more" }, device.group.name)), el("td", {}, checkCell(device)), el("td", {}, fit), el("td", {}, device.diagnosis ?? ""));
+      const bar = job ? el("div", {}, bench.bar(job)) : "";
+      const fit = el("span", { class: VERDICT[device.fit] ?? "" }, device.fit ?? "");
+      return el("tr", { class: device.id === chosen ? "chosen" : "" }, el("th", {}, el("button", { type: "button", onclick: () => look(device.id) }, device.name), el("span", { class: "more" }, device.group.name), bar), el("td", {}, checkCell(device)), el("td", {}, fit), el("td", {}, device.diagnosis ?? ""));
     }));
     at("fit-all").disabled = !devices.some((device) => !device.fit);
+    at("fit-all").textContent = `Check and fit all ${devices.filter((device) => !device.fit).length || ""}`.trim();
     if (chosen === null && devices.length) pick(devices[0].id);
     else if (chosen !== null) results();
   };
@@ -198,12 +213,18 @@
     rows();
   };
 
+  /* Chosen by hand: where the result stands below the list, go to it. */
+  const look = async (id) => {
+    await pick(id);
+    if (innerWidth < 960) at("device-detail").scrollIntoView();
+  };
+
   const detail = (device, found) => {
     const parts = [el("h2", {}, device.name), el("div", { id: "fit-bar" }), el("div", { id: "fit-result" })];
     if (found.viewer) parts.push(bench.loops(found.viewer));
     for (const line of found.warnings ?? []) parts.push(el("p", { class: "note" }, line));
     if (found.rows.length) {
-      parts.push(el("p", {}, `First answer: the most probable parameters, with the intervals that a fit will give, about. The law leaves ${found.rmse} (root mean square) of the force.`));
+      parts.push(el("p", {}, el("strong", {}, found.headline)), el("p", {}, `First answer: the most probable parameters, with the intervals that a fit will give, about: the scatter of this test alone, not of devices or of the load cell's calibration. The law leaves ${found.rmse} (root mean square) of the force.`));
       parts.push(bench.table("What this recording tells: width is the interval after the test over that before it", ["Parameter", "Value", "90 % interval", "Before the test", "Width"], found.rows.map((row) => [bench.term(row.name), `${row.value} ${row.unit}`, `${row.expected} ${row.unit}`, `${row.before} ${row.unit}`, row.narrowed])));
     }
     if (found.lines.length) parts.push(bench.lines(found.lines));
@@ -232,7 +253,7 @@
       return;
     }
     const frame = el("div", {});
-    const tabs = el("div", { class: "tabs" }, ...device.pages.map((name) => el("button", { type: "button", onclick: () => frame.replaceChildren(bench.page(device.id, name, `${name} of ${device.name}`)) }, { report: "Report", diagnosis: "Diagnosis", plan: "Next test" }[name])));
+    const tabs = el("div", { class: "tabs" }, ...device.pages.map((name) => el("button", { type: "button", onclick: () => bench.inside(frame, bench.page(device.id, name, `${name} of ${device.name}`)) }, { report: "Report", diagnosis: "Diagnosis", plan: "Next test" }[name])));
     result.replaceChildren(el("p", {}, el("span", { class: `badge ${device.fit}` }, device.fit), ` ${device.left}`), bench.table("Median and 90 % interval", ["Parameter", "Value", "90 % interval"], device.numbers.map((row) => [bench.term(row.name), `${row.value} ${row.unit === "1" ? "" : row.unit}`, row.interval])), el("p", {}, "What the law leaves out: ", el("strong", {}, device.diagnosis || "not diagnosed")), tabs, frame, bench.again(bench.state.command));
   };
 
@@ -256,10 +277,11 @@
       if (job) { bench.jobs.set(job.id, job); begun += 1; }
       rows();
     }
-    bench.say(`${begun} of ${waiting.length} devices are being fitted.`, begun < waiting.length);
+    bench.say(`${begun} of ${waiting.length} ${waiting.length === 1 ? "device is" : "devices are"} being fitted${begun < waiting.length ? "; the others have not passed their check" : ""}. You can go on meanwhile.`, begun < waiting.length);
   });
   bench.onJob = (job) => {
     if (job.kind === "fit") rows();
+    if (job.kind === "fit" && job.state === "done" && ![...bench.jobs.values()].some((one) => one.kind === "fit" && ["waiting", "running"].includes(one.state))) bench.say("All fits are done. Next: compare and design.");
     bench.onLongJob?.(job);
   };
 })();

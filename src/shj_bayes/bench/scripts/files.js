@@ -19,7 +19,8 @@
       el("th", {}, el("button", { type: "button", onclick: () => pick(id) }, name)),
       el("td", {}, deviceOf(id)?.name ?? "none"),
       el("td", {}, stateOf(id)))));
-    if (!bench.state.files.length) at("learn").open = true;
+    at("learn").open = !bench.state.files.length;
+    at("drop").classList.toggle("small", bench.state.files.length > 0);
   };
   bench.shown.push(rows);
 
@@ -88,10 +89,15 @@
   const take = async (files) => {
     let done = 0;
     let bad = 0;
+    let skipped = 0;
     for (const one of files) {
       bench.say(`Reading ${one.name} (${done + 1} of ${files.length})`);
       const found = await bench.ask(`/api/files?name=${encodeURIComponent(one.name)}`, "PUT", one, true);
       done += 1;
+      if (found?.already) {
+        skipped += 1;
+        continue;
+      }
       if (!found || found.refused) {
         bad += 1;
         bench.say(`${one.name}: ${found?.refused ?? "not taken"}`, true);
@@ -105,7 +111,9 @@
       if (found.error || !found.usable) bad += 1;
     }
     await bench.load();
-    if (done > bad) bench.say(`${done} ${done === 1 ? "file" : "files"} read${bad ? `, ${bad} of them cannot be used yet: their state says why` : ""}. Next: devices and sets, or check and fit.`, bad > 0);
+    if (skipped && skipped === done) bench.say(`${files.length === 1 ? "This file is" : "These files are"} here already and ${files.length === 1 ? "was" : "were"} not taken again.`);
+    else if (done === bad + skipped && bad) bench.say(`${bad} of ${done} ${done === 1 ? "file cannot" : "files cannot"} be used yet: the state in the list says why.`, true);
+    else if (done > bad) bench.say(`${done - skipped} ${done - skipped === 1 ? "file" : "files"} read${skipped ? `, ${skipped} were here already` : ""}${bad ? `, ${bad} of them cannot be used yet: their state says why` : ""}. Next: devices and sets, or check and fit.`, bad > 0);
   };
 
   at("choose").addEventListener("change", (event) => take([...event.target.files]).then(() => { event.target.value = ""; }));
