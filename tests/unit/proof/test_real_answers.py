@@ -13,7 +13,7 @@ from shj_bayes.cli import main
 from shj_bayes.errors import ProofError
 from shj_bayes.model.device import effect_named
 from shj_bayes.results.codec import to_json
-from shj_validation.proof import pool
+from shj_validation.proof import pool, real
 from shj_validation.proof.answers import CASES, band_of, clamping_changes
 from shj_validation.proof.real import prove_recordings
 
@@ -268,8 +268,33 @@ def test_the_diagnosis_sees_three_columns(lehigh, tmp_path, monkeypatch):
     page = result.page.read_text(encoding="utf-8")
     assert "no change of clamping was found" in page
     assert page.count("Clamping over time") == 1
+    assert "off on cycles left out with the law alone, 500 N with what was found" in result.text
+    assert "off on cycles left out with the law alone" in page
+    assert "CC BY-SA" in page  # whose recording it is
     stored = json.loads((tmp_path / "out" / "recordings.json").read_text(encoding="utf-8"))
     assert len(stored["absent"]) == len({case.file for case in CASES}) - 1
+
+
+def test_a_story_says_what_stays_open():
+    open_ = real._open(
+        diagnosis("unknown")
+        | {
+            "reason": "no known mechanism",
+            "coordinates": [
+                {"action": "capacity", "coordinate": "time", "probability": 0.4, "matches": []},
+                {"action": "capacity", "coordinate": "slip", "probability": 1.0, "matches": []},
+                {"action": "added", "coordinate": "constant", "probability": 1.0, "matches": ["load_offset"]},
+            ],
+        }
+    )
+    assert open_ == [
+        "which mechanism it is: no known mechanism",
+        "whether there is a dependence of the capacity over time (P = 0.40)",
+        "what makes the capacity depend on slip: no known formula has this curve",
+    ]
+    family = diagnosis("family") | {"family": [{"id": "wear"}, {"id": "thermal"}], "coordinates": []}
+    assert real._open(family) == ["which of these it is: wear, thermal"]
+    assert all(case.file.split("/")[0] in real.SOURCES for case in CASES)
 
 
 def test_wrong_folders_are_refused_in_words(tmp_path):

@@ -222,6 +222,7 @@ def test_a_failed_diagnosis_counts_in_no_rate(canned, tmp_path, monkeypatch):
         pool, "in_parallel", lambda tasks, workers, done: [done(task, {"error": "ModelError: no"}) for task in tasks]
     )
     proof = prove(tmp_path / "proof", n=N, seed=SEED, workers=1)
+    assert "false alarms  coordinate right, of the visible" in proof.text
     assert proof.score["failed"] == [1, 2, 3]
     assert proof.score["false_alarms"]["n"] == 0
     assert {target["verdict"] for target in proof.score["targets"]} >= {"NOT MET"}

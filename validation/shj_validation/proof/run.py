@@ -46,6 +46,11 @@ class Proof:
     def text(self) -> str:
         """What a person wants to read at the end."""
         lines = [f"{t['words']:58} {t['value']:>22}  aim {t['aim']:<28} {t['verdict']}" for t in self.score["targets"]]
+        for setting in ("protocol", "displacement", "rate_Hz"):
+            lines += ["", f"{setting.removesuffix('_Hz'):58} {'false alarms':>22}  coordinate right, of the visible"]
+            for name, entry in self.score["settings"][setting].items():
+                alarms, right = (f"{entry[of]['hits']} of {entry[of]['n']}" for of in ("alarms", "coordinate"))
+                lines.append(f"{name:58} {alarms:>22}  {right}: {entry['told']}")
         return "\n".join([*lines, "", f"page: {self.page}"])
 
 
