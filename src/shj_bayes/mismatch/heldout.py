@@ -84,6 +84,19 @@ def cycles_of(data: BinnedData) -> NDArray[np.int64]:
     return np.repeat(cycle, np.concatenate(blocks))
 
 
+def places_left_out(data: BinnedData) -> tuple[NDArray[np.int64], int]:
+    """Give for each block the place of its cycle among those that are left out (below 0: it is not), and their number.
+
+    The first cycle of a run is none of them.
+    """
+    cycle = cycles_of(data)
+    sizes = [part.n for part in data.posterior.averages]
+    first = np.isin(cycle, cycle[np.cumsum([0, *sizes[:-1]])])
+    numbers, place = np.unique(np.where(first | (data.used == 0), -1, cycle), return_inverse=True)
+    n_left = int(np.count_nonzero(numbers >= 0))
+    return place - (numbers.size - n_left), n_left
+
+
 def held_out(data: BinnedData, metric: ErrorModel, state: Laplace) -> HeldOut:
     """Predict cycles with a model that is fitted without them, from where it is with them, until it stands.
 
@@ -91,12 +104,7 @@ def held_out(data: BinnedData, metric: ErrorModel, state: Laplace) -> HeldOut:
     prediction holds the error of the zero and what else is integrated out at its mean, but for the generic
     discrepancy, which is no prediction.
     """
-    cycle, evidence = cycles_of(data), data.used > 0
-    sizes = [part.n for part in data.posterior.averages]
-    first = np.isin(cycle, cycle[np.cumsum([0, *sizes[:-1]])])
-    numbers, place = np.unique(np.where(first | ~evidence, -1, cycle), return_inverse=True)
-    n_left = int(np.count_nonzero(numbers >= 0))
-    place = place - (numbers.size - n_left)  # below 0: not left out
+    evidence, (place, n_left) = data.used > 0, places_left_out(data)
     residual, density = np.zeros(evidence.size), np.zeros(n_left, dtype=np.float64)
     n_parts = min(PARTS, n_left)
     for part in range(n_parts):

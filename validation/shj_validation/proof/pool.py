@@ -18,6 +18,7 @@ from shj_validation.proof.fence import scratch
 
 ENDED = "the process behind the fence has ended; what it printed stands above; run the same command again to go on"
 INSTALLED = str(Path(shj_bayes.__file__).parent)
+WORKER = "shj_validation.proof.worker"
 KEPT = ("SYSTEMROOT", "TEMP", "TMP", "TMPDIR")  # all that a process needs of the environment, Windows included
 
 
@@ -30,7 +31,7 @@ class Blind:
         Copies of the recordings; the process sees nothing else.
     """
 
-    def __init__(self, module: str = "shj_validation.proof.worker") -> None:
+    def __init__(self, module: str = WORKER) -> None:
         self.folder = Path(scratch())
         environment = {name: os.environ[name] for name in KEPT if name in os.environ}
         environment |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
@@ -103,6 +104,7 @@ def diagnose_rest(
     task_of: Callable[[str], dict[str, Any]],
     workers: int,
     done: Callable[[str], object],
+    module: str = WORKER,
 ) -> None:
     """Diagnose what has no diagnosis in a folder yet; each is written whole or not at all, so that a run can go on.
 
@@ -118,6 +120,8 @@ def diagnose_rest(
         Processes.
     done : callable
         Gets the name of each that was diagnosed, in this thread.
+    module : str
+        What runs behind the fence.
     """
     folder.mkdir(exist_ok=True)
 
@@ -125,11 +129,14 @@ def diagnose_rest(
         write_text(folder / f"{task['name']}.json", json.dumps(answer, indent=1, allow_nan=False))
         done(task["name"])
 
-    in_parallel([{"name": name, **task_of(name)} for name in unanswered(folder, names)], workers, keep)
+    in_parallel([{"name": name, **task_of(name)} for name in unanswered(folder, names)], workers, keep, module)
 
 
 def in_parallel(
-    tasks: Iterable[Mapping[str, Any]], workers: int, done: Callable[[Mapping[str, Any], dict[str, Any]], None]
+    tasks: Iterable[Mapping[str, Any]],
+    workers: int,
+    done: Callable[[Mapping[str, Any], dict[str, Any]], None],
+    module: str = WORKER,
 ) -> None:
     """Give tasks to workers as they become free.
 
@@ -141,6 +148,8 @@ def in_parallel(
         Processes.
     done : callable
         Gets a task and its answer, in this thread.
+    module : str
+        What runs behind the fence.
     """
     waiting: queue.SimpleQueue[Mapping[str, Any]] = queue.SimpleQueue()
     answers: queue.SimpleQueue[tuple[Mapping[str, Any] | None, Any]] = queue.SimpleQueue()
@@ -148,7 +157,7 @@ def in_parallel(
     for task in tasks:
         waiting.put(task)
         count += 1
-    blinds = [Blind() for _ in range(min(workers, count))]
+    blinds = [Blind(module) for _ in range(min(workers, count))]
 
     def serve(blind: Blind) -> None:
         while True:

@@ -7,7 +7,7 @@ import numpy as np
 
 from shj_bayes.model.device import effect_named, force_with_effects
 from shj_bayes.model.effects.effect import Base, Effect
-from shj_bayes.model.history import histories
+from shj_bayes.model.history import History, histories
 from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.recording.motion import Motion
 
@@ -21,6 +21,14 @@ def law_of(record: Mapping[str, Any], when: str) -> dict[str, float]:
 def acting_in(record: Mapping[str, Any]) -> list[tuple[Effect, Mapping[str, float]]]:
     """Effects of the model that was found, curves among them, with the medians of their parameters."""
     return [(effect_named(name), values) for name, values in record["modelled"].items()]
+
+
+def carried_on(tested: Sequence[tuple[FloatArray, Motion]], new: tuple[FloatArray, Motion]) -> History:
+    """History of a further run of the device, on the scales of those that were tested."""
+    scales = histories([time for time, _ in tested], [motion for _, motion in tested])[0]
+    last = histories([*(time for time, _ in tested), new[0]], [*(motion for _, motion in tested), new[1]])[-1]
+    middle = float((scales.motion.displacement_mm - scales.position_mm)[0])
+    return last.on_scales_of(scales, new[1].displacement_mm - middle)
 
 
 def predict(
@@ -47,10 +55,7 @@ def predict(
     array, shape (n_samples,)
         Force, kN.
     """
-    scales = histories([time for time, _ in tested], [motion for _, motion in tested])[0]
-    last = histories([*(time for time, _ in tested), new[0]], [*(motion for _, motion in tested), new[1]])[-1]
-    middle = float((scales.motion.displacement_mm - scales.position_mm)[0])
-    history = last.on_scales_of(scales, new[1].displacement_mm - middle)
+    history = carried_on(tested, new)
     values = law_of(record, when)
     ratio = values[run_name("ratio", len(tested))] if len(tested) > 1 else 1.0
     base = Base(values["K"], values["Fy"] * ratio, values["beta"], values.get("gamma", 0.0), values["Fy"])

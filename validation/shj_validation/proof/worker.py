@@ -8,6 +8,7 @@ import json
 import os
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -18,8 +19,11 @@ from shj_validation.proof.blind import diagnose_blind
 from shj_validation.proof.fence import raise_fence
 
 
-def main() -> None:
-    """Answer until the input ends, which is at once when the process that asks is gone."""
+def serve(answer_of: Callable[..., dict[str, Any]]) -> None:
+    """Answer until the input ends, which is at once when the process that asks is gone.
+
+    ``answer_of(paths, **task)`` gives the answer to a task.
+    """
     folder = Path(sys.argv[1])
     raise_fence(folder)
     answers = sys.stdout
@@ -30,7 +34,7 @@ def main() -> None:
         task = json.loads(tasks.get())
         paths = [folder / name for name in task.pop("files")]
         try:
-            answer: dict[str, Any] = {"record": diagnose_blind(paths, **task)}
+            answer: dict[str, Any] = {"record": answer_of(paths, **task)}
         except (ShjError, ArithmeticError, ValueError) as error:  # one unusable trial must not end the proof
             answer = {"error": f"{type(error).__name__}: {error}"}
         answer["installed"] = str(Path(shj_bayes.__file__).parent)
@@ -46,4 +50,4 @@ def _listen(tasks: SimpleQueue[str]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    serve(diagnose_blind)
