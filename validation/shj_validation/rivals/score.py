@@ -14,7 +14,6 @@ from shj_validation.proof.make import make
 from shj_validation.proof.score import rate
 from shj_validation.proof.simulators.simulator import simulators_by_id
 from shj_validation.proof.summary import FALSE_ALARMS, HELD_OUT
-from shj_validation.proof.truth import EVIDENCE, PRACTICAL
 from shj_validation.rivals.question import rms
 
 OURS = "shj-bayes"
@@ -56,9 +55,11 @@ def median(values: Sequence[float], level: float = 0.95) -> tuple[float, float, 
 
 
 def is_right(word: str, row: Mapping[str, Any]) -> bool:
-    """Whether one word is a coordinate of anything detectable that a trial conceals, whatever it acts on."""
-    required = {name for name, (share, evidence) in row["each"].items() if share >= PRACTICAL and evidence >= EVIDENCE}
-    true = {coordinate for name in required for _, coordinate in simulators_by_id()[name].coordinates}
+    """Whether one word is a coordinate of anything that a trial conceals, whatever it acts on.
+
+    Of two effects one may be too small to be seen beside the other: it need not be named, but may be, as in the proof.
+    """
+    true = {coordinate for name in row["each"] for _, coordinate in simulators_by_id()[name].coordinates}
     return word in true or any(word in SEEN_BY.get(one, ()) for one in true)
 
 
