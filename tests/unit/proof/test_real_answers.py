@@ -232,7 +232,7 @@ def lehigh(band, tmp_path):
 def test_a_run_that_was_stopped_goes_on(lehigh, tmp_path, monkeypatch, capsys):
     asked = []
 
-    def serve(tasks, workers, done):
+    def serve(tasks, workers, done, module=pool.WORKER):
         for task in tasks:
             asked.append(task["name"])
             done(task, diagnosis())
@@ -254,7 +254,7 @@ def test_the_diagnosis_sees_three_columns(lehigh, tmp_path, monkeypatch):
     (lehigh / "ds4_harmonic0.03ea1forward.csv.gz").unlink()
     seen = []
 
-    def serve(tasks, workers, done):
+    def serve(tasks, workers, done, module=pool.WORKER):
         for task in tasks:
             seen.append(task["recordings"][0].read_text(encoding="utf-8"))
             done(task, diagnosis())

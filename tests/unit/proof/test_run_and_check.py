@@ -47,7 +47,7 @@ def canned(answer, monkeypatch):
     """In the place of the processes behind the fence; counts what it was asked."""
     asked = []
 
-    def serve(tasks, workers, done):
+    def serve(tasks, workers, done, module=pool.WORKER):
         for task in tasks:
             asked.append(task["name"])
             done(task, answer)
@@ -59,7 +59,7 @@ def canned(answer, monkeypatch):
 @pytest.fixture(scope="module")
 def whole(answer, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pool, "in_parallel", lambda tasks, workers, done: [done(task, answer) for task in tasks])
+        patch.setattr(pool, "in_parallel", lambda tasks, workers, done, module: [done(task, answer) for task in tasks])
         folder = tmp_path_factory.mktemp("whole") / "proof"
         return prove(folder, n=N, seed=SEED, workers=1, earlier=True).page.parent
 
@@ -86,7 +86,7 @@ def test_the_page_and_the_table_hold_every_trial(finished):
 def test_a_stopped_proof_goes_on_under_the_same_commitment(canned, answer, tmp_path, monkeypatch):
     whole = pool.in_parallel
 
-    def stops(tasks, workers, done):
+    def stops(tasks, workers, done, module=pool.WORKER):
         done(next(iter(tasks)), answer)
         raise KeyboardInterrupt
 
@@ -108,7 +108,7 @@ def test_a_stopped_proof_goes_on_under_the_same_commitment(canned, answer, tmp_p
 def test_a_stopped_proof_can_be_opened_with_its_first_trials(canned, answer, tmp_path, monkeypatch):
     """Trials count from the first on without a gap, so that nobody can choose; all keys are opened."""
 
-    def stops(tasks, workers, done):
+    def stops(tasks, workers, done, module=pool.WORKER):
         own = list(tasks)
         done(own[0], answer)
         done(own[2], answer)
@@ -134,7 +134,7 @@ def test_nothing_is_opened_before_anything_is_diagnosed(canned, tmp_path):
 def test_keys_stay_sealed_until_every_diagnosis_is_done(canned, tmp_path, monkeypatch):
     seen = []
 
-    def looks(tasks, workers, done):
+    def looks(tasks, workers, done, module=pool.WORKER):
         folder = tmp_path / "proof"
         seen.extend(path.name for path in folder.iterdir())
         raise KeyboardInterrupt
@@ -219,7 +219,9 @@ def test_the_command_asks_for_a_folder():
 
 def test_a_failed_diagnosis_counts_in_no_rate(canned, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        pool, "in_parallel", lambda tasks, workers, done: [done(task, {"error": "ModelError: no"}) for task in tasks]
+        pool,
+        "in_parallel",
+        lambda tasks, workers, done, module: [done(task, {"error": "ModelError: no"}) for task in tasks],
     )
     proof = prove(tmp_path / "proof", n=N, seed=SEED, workers=1)
     assert "false alarms  coordinate right, of the visible" in proof.text
