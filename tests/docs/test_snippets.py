@@ -35,8 +35,8 @@ PAGES = [
     TOP / "README.md",
     *(p for folder in FOLDERS for p in sorted((TOP / folder).glob("*.md")) if p.name not in APART),
 ]
-# Run elsewhere: the proof has tests of its own, the demo is `make demo`.
-ELSEWHERE = ("prove", "demo")
+# Run elsewhere: the proof has tests of its own, the demo is `make demo`, and a bench serves until it is ended.
+ELSEWHERE = ("prove", "demo", "bench")
 RUN_FIRST = ("simulate", "check", "fit", "diagnose", "tables", "campaign")
 TRUTH = Truth(gamma=1 / 60)
 MANIFEST = """
