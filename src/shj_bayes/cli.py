@@ -639,6 +639,7 @@ def doctor(as_json: bool) -> None:
 
 
 EXAMPLES: dict[str, tuple[str, ...]] = {
+    "bench": ("shj-bayes bench lab", "shj-bayes bench lab --no-browser"),
     "demo": ("shj-bayes demo", "shj-bayes demo -o first-look"),
     "check": (
         "shj-bayes check run1.csv run2.csv",
