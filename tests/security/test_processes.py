@@ -178,7 +178,7 @@ def test_children_end_with_their_parent(tmp_path, script, end):
 
 def test_the_worker_of_the_proof_ends_with_its_input_in_the_midst_of_a_trial(tmp_path):
     (tmp_path / "run1.csv").write_text("time_s,displacement_mm,force_kN\n", encoding="utf-8")
-    slow = "import time, shj_validation.proof.worker as w; w.diagnose_blind = lambda *_: time.sleep(60); w.main()"
+    slow = "import time, shj_validation.proof.worker as w; w.serve(lambda *_: time.sleep(60))"
     command = [*PYTHON, "-c", slow]
     with subprocess.Popen([*command, str(tmp_path)], stdin=subprocess.PIPE, cwd=tmp_path) as process:
         process.stdin.write(b'{"files": ["run1.csv"]}\n')

@@ -29,6 +29,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from shj_bayes._util.files import alone, make_writable, write_text
+from shj_bayes._util.processes import PYTHON
 from shj_bayes.bench.archive import unpack
 from shj_bayes.bench.routes import HEADERS, ROUTES, Bench, answered, cookie_name
 from shj_bayes.errors import CampaignError, ShjError
@@ -138,15 +139,15 @@ def put_shortcut(folder: Path) -> str:
     if sys.platform == "win32":
         path, text = (
             desk / "shj-bayes bench.bat",
-            f'@echo off\r\n"{sys.executable}" -P -m shj_bayes bench "{place}"\r\n',
+            f'@echo off\r\n"{PYTHON[0]}" {PYTHON[1]} -m shj_bayes bench "{place}"\r\n',
         )
     elif sys.platform == "darwin":
         path, text = (
             desk / "shj-bayes bench.command",
-            f'#!/bin/sh\nexec "{sys.executable}" -P -m shj_bayes bench "{place}"\n',
+            f'#!/bin/sh\nexec "{PYTHON[0]}" {PYTHON[1]} -m shj_bayes bench "{place}"\n',
         )
     else:
-        run = f'"{sys.executable}" -P -m shj_bayes bench "{place}"'
+        run = f'"{PYTHON[0]}" {PYTHON[1]} -m shj_bayes bench "{place}"'
         entry = f"[Desktop Entry]\nType=Application\nName=shj-bayes bench\nTerminal=true\nExec={run}\n"
         path, text = desk / "shj-bayes-bench.desktop", entry
     write_text(path, text)
