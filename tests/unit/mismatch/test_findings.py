@@ -12,7 +12,7 @@ from shj_bayes.mismatch import content, findings
 from shj_bayes.mismatch import hypothesis as sizes
 from shj_bayes.mismatch.data import ErrorModel
 from shj_bayes.mismatch.fitter import Fitter
-from shj_bayes.mismatch.moves import Search
+from shj_bayes.mismatch.moves import DIRECTION, Search
 from shj_bayes.mismatch.periodic import Chatter
 
 ACTS = {"delay": "motion", "constant": "added", "added over constant": "added", "bearing": "added"}
@@ -153,7 +153,7 @@ def test_that_nothing_is_missing_must_hold_with_95_per_cent_as_every_verdict_mus
     out = _quiet(found={h.key: h for h in (nothing, drift)})
     monkeypatch.setattr(findings, "that_matter", lambda out, h: h.key)
     monkeypatch.setattr(findings, "truly_there", lambda out, h, key: {key: 1.0})
-    monkeypatch.setattr(findings, "_split", lambda out, h: h)
+    monkeypatch.setattr(findings, "_split", lambda out, h, dropped: h)
     monkeypatch.setattr(findings, "discrepancy_size", lambda out, state: 0.0)
     found = SimpleNamespace(size=0.02, named=True, names=(("drift", 1.0),))
     monkeypatch.setattr(findings, "_findings", lambda out, h, top, p: ((found,) * len(top), h))
@@ -169,7 +169,7 @@ def test_a_class_in_every_hypothesis_is_there_with_a_probability_of_1_at_most(mo
         h.log_weight, h.state = 54321.123456789 + nats, None
     monkeypatch.setattr(findings, "that_matter", lambda out, h: h.key)
     monkeypatch.setattr(findings, "truly_there", lambda out, h, key: {key: 1.0})
-    monkeypatch.setattr(findings, "_split", lambda out, h: h)
+    monkeypatch.setattr(findings, "_split", lambda out, h, dropped: h)
     monkeypatch.setattr(findings, "discrepancy_size", lambda out, state: 0.0)
     monkeypatch.setattr(findings, "_p_value", lambda out: 0.0)
     monkeypatch.setattr(findings, "_findings", lambda out, h, top, p: ((), h))
@@ -206,3 +206,18 @@ def test_mechanisms_of_one_probability_stand_in_the_order_of_their_words():
     fitter = SimpleNamespace(classes=classes, hidden=frozenset())
     out = SimpleNamespace(fitter=fitter, data=SimpleNamespace(measured=()))
     assert [one.id for one in content.family(out, answer)] == words
+
+
+def test_a_curve_is_not_taken_apart_into_what_was_dropped(monkeypatch):
+    """Or what was found would be weighed for ever: dropped, found in the curve, dropped."""
+    curve = SimpleNamespace(variant=SimpleNamespace(curve=SimpleNamespace(sides=True)), of=SimpleNamespace(id="x"))
+    h = SimpleNamespace(members=(curve,), key=frozenset({"x"}))
+    out = SimpleNamespace(data=None, fitter=SimpleNamespace(classes={DIRECTION: None}))
+    tried = []
+    monkeypatch.setattr(findings, "tolerance", lambda *_: tried.append("apart") or 0.0)
+    monkeypatch.setattr(findings, "_in_place_of", lambda *_: [])
+    monkeypatch.setattr(findings, "beside_direction", lambda *_: SimpleNamespace(found={}))
+    assert findings._split(out, h, [DIRECTION]) is h
+    assert tried == []
+    assert findings._split(out, h) is h
+    assert tried == ["apart"]
