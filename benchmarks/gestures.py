@@ -64,7 +64,11 @@ def gestures(page: Page, address: str, small: list[Path], large: Path) -> dict[s
         until(page, seen, patience_s)
         times[name] = time.perf_counter() - begin
 
-    timed("bench open", lambda: page.goto(address), "Boolean(window.bench || document.getElementById('drop'))")
+    def opened() -> None:
+        page.goto(address)
+        page.wait_for_url("http://127.0.0.1:*/")
+
+    timed("bench open", opened, "Boolean(document.getElementById('drop'))")
     until(page, "Boolean(bench.state.folder)")
     plot = "Boolean(document.querySelector('{} canvas.plot'))"
     timed("loop of 24 000 readings", lambda: page.set_input_files("#choose", small), plot.format("#file-detail"))

@@ -82,7 +82,7 @@ class Bench:
     async def found_in(self, key: str) -> dict[str, Any]:
         """Give what was found in a file, read as its device says."""
         path, chosen = self.session.file(key), self.session.reading_of(key)
-        stamp = json.dumps([chosen, path.stat().st_mtime_ns if path.exists() else 0])
+        stamp = reading_stamp(path, chosen)
         if key not in self.read or self.read[key][0] != stamp:
             self.read[key] = stamp, await self.jobs.ask("read_file", self.session.folder, path, chosen)
         given = (name for name in ("columns", "units", "sheet") if name in chosen)
@@ -153,6 +153,11 @@ class Bench:
     def _passed(self, key: str) -> bool | None:
         said = self.checked.get(key)
         return None if said is None or said[0] != self.stamp(key) else bool(said[1]["passed"])
+
+
+def reading_stamp(path: Path, options: dict[str, Any]) -> str:
+    """Give what the reading of a file rests on."""
+    return json.dumps([options, path.stat().st_mtime_ns if path.exists() else 0])
 
 
 class BodyError(CampaignError):
@@ -289,8 +294,10 @@ async def upload(bench: Bench, request: Request) -> Any:
     if (there := bench.session.same_as(path)) is not None:
         path.unlink()
         return {**await bench.found_in(there), "already": True}
-    form = (await bench.jobs.ask("read_file", bench.session.folder, path, {}))["form"]
-    found = await bench.found_in(bench.session.add(path, form))
+    plain = await bench.jobs.ask("read_file", bench.session.folder, path, {})
+    key = bench.session.add(path, plain["form"])
+    bench.read[key] = reading_stamp(path, {}), plain  # read again only where its device says how
+    found = await bench.found_in(key)
     bench.say("changed", "file")
     return found
 
