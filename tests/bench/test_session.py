@@ -78,6 +78,7 @@ def test_arranging_moves_renames_and_refuses(tmp_path: Path) -> None:
     ):
         with pytest.raises(CampaignError, match=why):
             session.arrange(wanted)
+        session.write()  # a refusal leaves nothing of it behind
         assert (tmp_path / "campaign.toml").read_bytes() == before
 
 

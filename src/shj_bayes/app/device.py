@@ -196,8 +196,10 @@ def diagnose_device(
     return CommandResult(diagnosis.record, diagnosis_text(diagnosis.record, render_diagnosis(folder)))
 
 
-def _usable(paths: Sequence[Path | Recording], options: FitOptions, tell: Callable[[str], None]) -> list[Recording]:
-    """Read recordings that are not read yet; refuse those that must not be fitted."""
+def read_device(
+    paths: Sequence[Path | Recording], options: FitOptions, tell: Callable[[str], None] = lambda _: None
+) -> list[Recording]:
+    """Read the consecutive runs of a device that are not read yet, with what is to be remarked of them together."""
     given = []
     for each in paths:
         if isinstance(each, Recording):
@@ -207,8 +209,12 @@ def _usable(paths: Sequence[Path | Recording], options: FitOptions, tell: Callab
             columns, units = options.columns, options.units
             given.append(read(each, columns=columns, units=units, rate_Hz=options.rate_Hz, sheet=options.sheet))
     recordings = remarked(settle(given, options.runs), options.free)
-    if options.priors_from is not None:
-        recordings = earlier(options.priors_from).remarked(recordings)
+    return recordings if options.priors_from is None else earlier(options.priors_from).remarked(recordings)
+
+
+def _usable(paths: Sequence[Path | Recording], options: FitOptions, tell: Callable[[str], None]) -> list[Recording]:
+    """Read recordings that are not read yet; refuse those that must not be fitted."""
+    recordings = read_device(paths, options, tell)
     for recording in recordings:
         blocking = [f.message for f in recording.findings if f.severity == "unusable"]
         if blocking:

@@ -276,38 +276,46 @@ class Session:
     def arrange(self, wanted: Any) -> None:
         """Put files into devices and devices into sets, as a list of sets with ids says; names come with it."""
         try:
-            sets = []
-            for entry in wanted:
-                own = next((one for one in self.sets if one.id == entry.get("id")), None)
-                own = own or SetTable(f"s{next(self._numbers)}", {})
-                own.content["name"] = plain_name(str(entry["name"]))
-                devices = []
-                for one in entry["devices"]:
-                    device = next((d for _, d in self.devices if d.id == one.get("id")), None)
-                    device = device or DeviceTable(f"d{next(self._numbers)}", {})
-                    device.content["name"] = plain_name(str(one["name"]))
-                    device.files = [str(key) for key in one["files"]]
-                    devices.append(device)
-                    for key in device.files:
-                        self.file(key)
-                sets.append((own, [device for device in devices if device.files]))
+            sets = [
+                (
+                    str(entry.get("id")),
+                    plain_name(str(entry["name"])),
+                    [
+                        (str(one.get("id")), plain_name(str(one["name"])), [str(key) for key in one["files"]])
+                        for one in entry["devices"]
+                    ],
+                )
+                for entry in wanted
+            ]
         except (TypeError, KeyError, AttributeError) as error:
             raise CampaignError(f"an arrangement that cannot be read ({type(error).__name__})") from error
-        for own, devices in sets:
-            names = [device.name for device in devices]
+        self._check_arrangement([(name, devices) for _, name, devices in sets])
+        known, groups = {device.id: device for _, device in self.devices}, {one.id: one for one in self.sets}
+        self.sets = []
+        for key, name, wanted_devices in sets:
+            own = groups.get(key) or SetTable(f"s{next(self._numbers)}", {})
+            own.content["name"], own.devices = name, []
+            for device_key, device_name, files in wanted_devices:
+                device = known.get(device_key) or DeviceTable(f"d{next(self._numbers)}", {})
+                device.content["name"], device.files = device_name, files
+                own.devices += [device] if files else []
+            self.sets += [own] if own.devices else []
+        self.write()
+
+    def _check_arrangement(self, sets: list[tuple[str, list[tuple[Any, str, list[str]]]]]) -> None:
+        """Refuse an arrangement that no manifest could hold, before anything of it is taken."""
+        for set_name, devices in sets:
+            names = [name for _, name, files in devices if files]
             twice = next((name for name in names if names.count(name) > 1), None)
             if twice:
-                raise CampaignError(f"two devices of the set '{own.name}' are called '{twice}'; rename one of them")
-        names = [own.name for own, _ in sets]
-        if len(set(names)) < len(names):
+                raise CampaignError(f"two devices of the set '{set_name}' are called '{twice}'; rename one of them")
+        if len({name for name, _ in sets}) < len(sets):
             raise CampaignError("two sets have the same name; rename one of them")
-        used = [key for _, devices in sets for device in devices for key in device.files]
+        used = [key for _, devices in sets for *_, files in devices for key in files]
+        for key in used:
+            self.file(key)
         if len(set(used)) < len(used):
             raise CampaignError("a file belongs to one device alone")
-        for own, devices in sets:
-            own.devices = devices
-        self.sets = [own for own, devices in sets if devices]
-        self.write()
 
     def describe_set(self, key: str, said: Mapping[str, Any]) -> None:
         """Set what is known of a set: its connection as tested, and a note."""

@@ -15,16 +15,17 @@ import numpy as np
 
 from shj_bayes.app.campaign import fit_one, run_campaign, summarise_campaign
 from shj_bayes.app.design import PooledTests, compare_sets, pooled_tests, sheet_of, write_comparison
-from shj_bayes.app.device import Work, remarked
+from shj_bayes.app.device import Work, read_device
 from shj_bayes.app.manifest import Device, read_manifest
 from shj_bayes.app.plan import plan_next
 from shj_bayes.app.resume import POPULATION, design_margins, kept_result, priors_of
+from shj_bayes.bench.session import MANIFEST
 from shj_bayes.errors import CampaignError, RecordingError, ShjError, shown
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.options import FitOptions, MarginOptions, PlanOptions
 from shj_bayes.planning.identifiability import first_answer
 from shj_bayes.recording.motion import Motion, motion_of
-from shj_bayes.recording.reader import read, read_table
+from shj_bayes.recording.reader import read_table, recording_of
 from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.runs import describe, settle, to_dict
 from shj_bayes.report import words
@@ -38,7 +39,6 @@ from shj_bayes.results.diagnosis import DiagnosisRecord, LeftOver
 from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import DIAGNOSIS, digests, find
 
-MANIFEST = "campaign.toml"
 FIRST_ROWS = 8  # of a file, for choosing its columns
 Tell = Callable[[float | None, str], None]
 Told = dict[str, Any]
@@ -72,7 +72,7 @@ def read_file(folder: Path, path: Path, options: Mapping[str, Any], tell: Tell) 
     ]
     told["form"] = _digest(table.format, *told["columns"])
     try:
-        recording = read(path, columns=chosen.columns, units=chosen.units, rate_Hz=chosen.rate_Hz, sheet=chosen.sheet)
+        recording = recording_of(table, chosen.columns, chosen.units, chosen.rate_Hz)
         recordings = settle([recording], chosen.runs)
     except ShjError as error:
         return told | {"error": str(error)}
@@ -157,11 +157,7 @@ def check(folder: Path, set_name: str, name: str, tell: Tell) -> Told:
     device = device_in(folder, set_name, name)
     how = device.options
     try:
-        given = [
-            read(path, columns=how.columns, units=how.units, rate_Hz=how.rate_Hz, sheet=how.sheet)
-            for path in device.recordings
-        ]
-        recordings = remarked(settle(given, how.runs), how.free)
+        recordings = read_device(device.recordings, how)
     except RecordingError as error:
         return {"passed": False, "reasons": [str(error)], "lines": [], "rows": []}
     found = [f for one in recordings for f in one.findings]
