@@ -343,6 +343,7 @@ def test_a_posterior_that_is_none_is_refused_before_it_is_read_here(copy, kind):
 @pytest.mark.parametrize("body", ["import os; os.abort()", "import sys, os; sys.stdin.readline(); os.abort()"])
 def test_a_posterior_that_ends_the_library_is_one_line_and_the_next_one_is_read(fitted, monkeypatch, body):
     processes._end()
+    monkeypatch.setattr(store_file, "_WRITTEN", set())  # as in a process that did not make the fit
     with monkeypatch.context() as changed:
         changed.setattr(processes, "_CHILD", body)
         with pytest.raises(InferenceError, match=r"posterior\.nc in .* cannot be read \(.* gave up\)"):
@@ -367,6 +368,19 @@ def test_a_diagnosis_is_not_written_through_a_link_and_its_old_page_goes(tmp_pat
     DiagnosisResult(made("adequate"), xr.Dataset({"force": ("point", np.arange(3.0))})).write(tmp_path)
     assert (tmp_path / "mine").read_text(encoding="utf-8") == "mine"
     assert not (tmp_path / "diagnosis.html").exists()
+
+
+def test_what_this_process_wrote_is_trusted_until_it_is_altered(copy, monkeypatch):
+    asked = []
+    monkeypatch.setattr(store_file, "vet", lambda path, group: asked.append(path.name))
+    monkeypatch.setattr(store_file, "_WRITTEN", {file_digest(copy / "posterior.nc")})
+    device_file.read_group(copy, "posterior")
+    assert not asked
+    with h5py.File(copy / "posterior.nc", "a") as file:
+        file.attrs["device"] = "another"
+    reseal(copy)
+    device_file.read_group(copy, "posterior")
+    assert asked == ["posterior.nc"]
 
 
 def test_what_a_fit_writes_is_no_window(fitted):

@@ -65,16 +65,21 @@ class DeviceEvidence:
         """Log evidence of each set, without prior odds, shape (m,)."""
         return np.asarray(np.array(self.record.nats) - self.record.log_odds * self.holds.sum(axis=1))
 
-    def log_factor(self, name: str, log_odds: Mapping[str, float]) -> float:
-        """Log Bayes factor of a class, with every other class at its odds; 0 where the device says nothing of it."""
-        classes = self.record.classes
-        if name not in classes:
-            return 0.0
-        odds = np.array([0.0 if other == name else log_odds[other] for other in classes])
-        weights, has = self._bare + self.holds @ odds, self.holds[:, classes.index(name)]
-        if not has.any():
-            return 0.0
-        return float(logsumexp(weights[has]) - logsumexp(weights[~has]))
+    def log_factors(self, names: Sequence[str], log_odds: FloatArray) -> FloatArray:
+        """Log Bayes factor of each class of `names`, with every other one at its odds, shape (n_names,) both.
+
+        0 where the device says nothing of a class.
+        """
+        out, classes = np.zeros(len(names)), self.record.classes
+        here = np.array([place for place, name in enumerate(names) if name in classes], dtype=np.int64)
+        holds = self.holds[:, [classes.index(names[place]) for place in here]]
+        if not here.size:
+            return out
+        known = np.array([log_odds[names.index(name)] for name in classes])
+        weights = (self._bare + self.holds @ known)[:, None]
+        with_it, without = (logsumexp(np.where(mask, weights, -np.inf), axis=0) for mask in (holds, ~holds))
+        out[here] = np.where(holds.any(axis=0), with_it - log_odds[here] - without, 0.0)
+        return out
 
 
 def log_shared(log_factors: FloatArray) -> tuple[float, float]:
@@ -112,18 +117,22 @@ class _Weighing:
         self.devices = devices
         self.names = sorted({name for device in devices for name in device.record.classes})
         self.weights: dict[Combination, float] = {frozenset(): 0.0}
-        self.odds: dict[Combination, dict[str, float]] = {frozenset(): dict.fromkeys(self.names, _log_odds(ALONE))}
+        self._odds: dict[Combination, FloatArray] = {frozenset(): np.full(len(self.names), _log_odds(ALONE))}
+        self._factors: dict[Combination, FloatArray] = {}
         self._gains: dict[tuple[Combination, str], tuple[float, float]] = {}
 
-    def factors(self, name: str, odds: Mapping[str, float]) -> FloatArray:
-        """Log Bayes factor of a class in each device, shape (n,)."""
-        return np.array([device.log_factor(name, odds) for device in self.devices])
+    def factors(self, combination: Combination) -> FloatArray:
+        """Log Bayes factor of every class in each device, the others as in a combination, shape (n_names, n)."""
+        if combination not in self._factors:
+            of_each = [device.log_factors(self.names, self._odds[combination]) for device in self.devices]
+            self._factors[combination] = np.stack(of_each, axis=1)
+        return self._factors[combination]
 
     def gain(self, combination: Combination, name: str) -> tuple[float, float]:
         """Log Bayes factor of one class more, and the share of devices that have it."""
         key = (combination, name)
         if key not in self._gains:
-            self._gains[key] = log_shared(self.factors(name, self.odds[combination]))
+            self._gains[key] = log_shared(self.factors(combination)[self.names.index(name)])
         return self._gains[key]
 
     def weigh(self, combination: Combination) -> float:
@@ -134,7 +143,8 @@ class _Weighing:
                 name = max(sorted(combination - known), key=lambda one: self.gain(known, one)[0])
                 gain, share = self.gain(known, name)
                 larger = known | {name}
-                self.odds[larger] = self.odds[known] | {name: _log_odds(share)}
+                self._odds[larger] = self._odds[known].copy()
+                self._odds[larger][self.names.index(name)] = _log_odds(share)
                 self.weights[larger] = self.weights[known] + gain + _log_odds(PRIOR_INCLUSION)
                 known = larger
         return self.weights[combination]
@@ -152,7 +162,7 @@ class _Weighing:
 
     def of_devices(self, combination: Combination, name: str) -> FloatArray:
         """Probability that each device has a class where the set has a combination, shape (n,)."""
-        b = self.factors(name, self.odds[combination])
+        b = self.factors(combination)[self.names.index(name)]
         if name not in combination:
             return np.asarray(np.exp(math.log(ALONE) + b - _mixed(b, ALONE)))
         theta, logs = _over_share(b)

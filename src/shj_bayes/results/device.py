@@ -10,7 +10,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes._util.processes import vet
 from shj_bayes.errors import InferenceError, ReportError
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import History, Measured, histories
@@ -19,7 +18,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.results.fit import FitRecord
-from shj_bayes.results.store import check_files, has, read
+from shj_bayes.results.store import check_files, has, read, vet_unless_own
 
 EXTRA = "extra_"  # before the names of further channels
 FLOATS = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m", "force_kN", "before_kN", "after_kN")
@@ -199,7 +198,7 @@ def whole(folder: Path, group: str = "") -> Iterator[Path]:
     if has(FitRecord, folder):
         check_files(folder, read(FitRecord, folder))
     try:
-        vet(folder / "posterior.nc", group)
+        vet_unless_own(folder / "posterior.nc", group)
         yield folder / "posterior.nc"
     except Exception as error:  # the readers raise dozens of kinds for damaged files; all mean the same
         raise InferenceError(
@@ -293,7 +292,7 @@ def read_channels(folder: Path) -> Channels:
     import h5py  # noqa: PLC0415  (who reads only the words of a diagnosis need not load it)
 
     try:
-        vet(folder / "diagnosis.nc")
+        vet_unless_own(folder / "diagnosis.nc")
         with h5py.File(folder / "diagnosis.nc", "r") as file:
             data = {name: np.asarray(file[name], dtype=np.float64) for name in (*FLOATS, "direction", "run", "weight")}
         channels = Channels(

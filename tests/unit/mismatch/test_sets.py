@@ -168,7 +168,7 @@ def test_a_record_is_read_as_it_was_written():
     one = DeviceEvidence(from_json(EvidenceRecord, RECORD))
     assert one.record.classes == (A, B)
     assert one.holds.tolist() == [[False, False], [True, False], [True, True]]
-    assert one.log_factor(A, {A: LOG_PRIOR_ODDS, B: -50.0}) == pytest.approx(3.0 - LOG_PRIOR_ODDS)
+    assert one.log_factors([A, B], np.array([LOG_PRIOR_ODDS, -50.0]))[0] == pytest.approx(3.0 - LOG_PRIOR_ODDS)
 
 
 @pytest.mark.parametrize(
