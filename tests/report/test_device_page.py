@@ -153,6 +153,24 @@ def pictures_in(drawn: Any) -> Iterator[str]:
         yield from pictures_in(one)
 
 
+def test_points_on_a_line_are_left_out_and_nothing_else_is() -> None:
+    """Every point of a loop, with its corners and a gap, lies on the drawn line to within a third of a pixel or so."""
+    turn = np.linspace(0, 2 * np.pi, 4001)
+    x, y = 900 * np.sin(turn), np.clip(2500 * np.cos(turn), -700, 700)
+    x[2100:2300] = np.nan
+    path = ElementTree.fromstring(canvas._path(x, y, "")).attrib["d"]
+    pieces = [np.array(re.findall(r"-?\d+", piece), dtype=float).reshape(-1, 2) for piece in path[1:].split("M")]
+    assert len(pieces) == 2
+    ends = [np.cumsum(piece, axis=0) for piece in pieces]
+    begin, step = np.concatenate([one[:-1] for one in ends]), np.concatenate([piece[1:] for piece in pieces])
+    assert len(step) < 400
+    drawn = np.stack([x, y], axis=1)[np.isfinite(x), None] - begin
+    along = np.clip((drawn * step).sum(axis=2) / np.maximum((step**2).sum(axis=1), 1e-9), 0, 1)
+    assert np.hypot(*(drawn - along[..., None] * step).T).min(axis=0).max() < 2
+    for a, b in ((0, 2099), (2300, 4000)):
+        assert np.hypot(*(ends[a > 0][[0, -1]] - np.stack([x, y], axis=1)[[a, b]]).T).max() < 1
+
+
 def test_nothing_stands_beyond_the_edge_of_a_picture(copy_of: Path) -> None:
     """The margins are fixed: the numbers and titles of every diagram must find room in them, also large ones."""
     device = read_device(copy_of)

@@ -62,7 +62,7 @@ def stroke_profiles(run: RunData) -> tuple[StrokeProfile, StrokeProfile]:
     """Mean residual over stroke for push and pull, beside what noise alone would give."""
     edges = edges_of(run.displacement_mm, N_STROKE)
     index, left = index_in(run.displacement_mm, edges), residual(run)
-    noise = run.predicted_kN - run.law_kN
+    noise = np.ascontiguousarray(run.predicted_kN - run.law_kN)
     # The fitted noise is stationary, so each draw may be moved in time to give several.
     shifts = np.linspace(0, noise.shape[1], N_SHIFTS, endpoint=False).astype(int)
     out = []
@@ -70,8 +70,9 @@ def stroke_profiles(run: RunData) -> tuple[StrokeProfile, StrokeProfile]:
         inside = counted(run) & (run.direction == sign)
         mean = bin_means(index, left, inside, N_STROKE)
         there = np.isfinite(mean)
-        alone = [bin_means(index, np.roll(row, step), inside, N_STROKE)[there] for row in noise for step in shifts]
-        low, high = np.quantile(alone, (0.05, 0.95), axis=0)
+        at, count = np.flatnonzero(inside), np.bincount(index[inside], minlength=N_STROKE)
+        sums = [np.bincount(index[at], row[at - step], N_STROKE)[there] for row in noise for step in shifts]
+        low, high = np.quantile(sums / count[there], (0.05, 0.95), axis=0)
         out.append(StrokeProfile(0.5 * (edges[:-1] + edges[1:])[there], mean[there], low, high))
     return out[0], out[1]
 
@@ -118,7 +119,10 @@ def force_band(run: RunData) -> Band:
     n = median.size
     edges = np.unique(np.linspace(0, n, min(N_BLOCKS, n) + 1).astype(int))
     off = run.predicted_kN - median
-    pieces = np.array([np.quantile(off[:, a:b], (LEVELS[0], LEVELS[2])) for a, b in pairwise(edges)])
+    pieces, sizes = np.empty((edges.size - 1, 2)), np.diff(edges)
+    for size in np.unique(sizes):  # all pieces of a size at once
+        at = edges[:-1][sizes == size, None] + np.arange(size)
+        pieces[sizes == size] = np.quantile(off[:, at], (LEVELS[0], LEVELS[2]), axis=(0, 2)).T
     centres = 0.5 * (edges[:-1] + edges[1:] - 1)
     below, above = (np.interp(np.arange(n), centres, pieces[:, i]) for i in (0, 1))
     return Band(median, median + below, median + above, float(np.median(high - low)))

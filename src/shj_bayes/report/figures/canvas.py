@@ -6,8 +6,10 @@ A library takes as long to load and to draw a page as the fit takes (decision 00
 from collections.abc import Callable, Sequence
 from functools import partial
 from html import escape
+from itertools import pairwise
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import ArrayLike, NDArray
 
 from shj_bayes.model.parameters import FloatArray
@@ -44,9 +46,8 @@ SIGNS = {  # around a point; r is half its size and d the whole
     "<": "m-{r} 0l{d}-{r}v{d}z", ">": "m{r} 0l-{d}-{r}v{d}z",
     "x": "m-{r}-{r}l{d} {d}m0-{d}l-{d} {d}", "+": "m-{r} 0h{d}m-{r}-{r}v{d}", "_": "m-{r} 0h{d}",
 }  # fmt: skip
-AS_ADDRESS = {
-    ord(sign): f"%{ord(sign):02X}" for sign in "%#<>\"'&"
-}  # what an address, or the page, would read as its own
+AS_ADDRESS = {sign: f"%{ord(sign):02X}" for sign in "%#<>\"'&"}  # what an address, or the page, would read as its own
+THINNINGS = 6  # turns in which points that lie on a line are left out
 Draw = Callable[[FloatArray, FloatArray], str]
 Range = tuple[float, float]
 
@@ -229,7 +230,7 @@ def legend(axes: Axes, columns: int = 1) -> None:
     axes.top, axes.height = axes.top + taken, axes.height - taken
 
 
-def svg(figure: Figure) -> str:
+def svg(figure: Figure) -> Markup:
     """Picture as a data URI of SVG (RFC 2397); the same drawing gives the same text."""
     text = (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{figure.width:g}pt" height="{figure.height:g}pt" '
@@ -238,7 +239,9 @@ def svg(figure: Figure) -> str:
         "font-family:'DejaVu Sans',Verdana,system-ui,sans-serif}</style>"
         f"{''.join(one.svg() for one in figure.axes)}</svg>"
     )
-    return f"data:image/svg+xml,{text.translate(AS_ADDRESS)}"
+    for sign, written in AS_ADDRESS.items():
+        text = text.replace(sign, written)
+    return Markup(f"data:image/svg+xml,{text}")  # it holds nothing that a page would escape
 
 
 def numbers(low: float, high: float, most: int, whole: bool = False) -> list[tuple[float, str]]:
@@ -282,28 +285,49 @@ def _text(x: float, y: float, words: str, size: float, side: str = "middle", *, 
     return out
 
 
-def _whole(x: FloatArray, y: FloatArray) -> NDArray[np.int64]:
-    """Points as whole numbers, shape (n, 2), once where several in a row fall on one."""
-    at: NDArray[np.int64] = np.round(np.stack([x, y], axis=1)).astype(np.int64)
-    return at[np.diff(at, axis=0, prepend=np.nan).any(axis=1)]
+def _points(x: FloatArray, y: FloatArray) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
+    """Points as whole numbers, x + iy, without those that are none; and which of them come behind such."""
+    there = np.isfinite(x + y)
+    behind = there.copy()
+    behind[1:] &= ~there[:-1]
+    return np.round(x[there]) + 1j * np.round(y[there]), behind[there]
+
+
+def _moves(points: NDArray[np.complex128]) -> list[str]:
+    """How far each point lies from the one before it, right and down, as text."""
+    return list(map(str, np.diff(points, prepend=0).view(np.float64).astype(np.int64).tolist()))
 
 
 def _path(x: FloatArray, y: FloatArray, pen: str) -> str:
-    """Line, or edge of an area, through points; a new one begins where some are not numbers."""
-    there, text = np.isfinite(x + y), []
-    for piece in np.split(np.arange(x.size), np.flatnonzero(~there)):
-        own = piece[there[piece]]
-        if own.size:
-            at = _whole(x[own], y[own])
-            text.append(f"M{at[0, 0]} {at[0, 1]}l" + " ".join(map(str, np.diff(at, axis=0).ravel().tolist() or [0, 0])))
+    """Line, or edge of an area, through points; a new one begins where some are not numbers.
+
+    Points that lie, to within half a step, on the line between their neighbours are left out, every second one at a
+    time, so that the neighbours of one that goes stay.
+    """
+    at, begins = _points(x, y)
+    stays = begins.copy()
+    stays[:-1] |= begins[1:]
+    for turn in range(THINNINGS):
+        first = turn % 2
+        middle = at[first + 1 : -1 : 2]
+        before, after = middle - at[first:-2:2], at[first + 2 :: 2] - middle
+        turned = before.conj() * after  # along, and across
+        level = (np.abs(turned.imag) <= 0.5 * np.abs(before + after)) & (turned.real >= 0)
+        keep = np.ones(at.size, dtype=bool)
+        keep[first + 1 : -1 : 2] = ~level | stays[first + 1 : -1 : 2]
+        at, begins, stays = at[keep], begins[keep], stays[keep]
+    pieces, moves = [*np.flatnonzero(begins).tolist(), at.size], _moves(at)
+    text = [
+        f"M{at[a].real:.0f} {at[a].imag:.0f}l{' '.join(moves[2 * a + 2 : 2 * b]) or '0 0'}" for a, b in pairwise(pieces)
+    ]
     return f'<path d="{"".join(text).replace(" -", "-")}" {pen}/>' if text else ""
 
 
 def _dots(x: FloatArray, y: FloatArray, pen: str) -> str:
-    """Round dots in one path."""
-    there = np.isfinite(x + y)
-    moves = np.diff(_whole(x[there], y[there]), axis=0, prepend=0).tolist()
-    return f'<path d="{"".join(f"m{a} {b}h0" for a, b in moves).replace(" -", "-")}" {pen}/>' if moves else ""
+    """Round dots in one path, from left to right; two in one place look like one."""
+    moves = _moves(np.unique(_points(x, y)[0]))
+    text = "".join(f"m{a} {b}h0" for a, b in zip(moves[::2], moves[1::2], strict=True))
+    return f'<path d="{text.replace(" -", "-")}" {pen}/>' if text else ""
 
 
 def _signs(x: FloatArray, y: FloatArray, form: str, pen: str) -> str:
