@@ -343,14 +343,14 @@ def test_a_posterior_that_is_none_is_refused_before_it_is_read_here(copy, kind):
 @pytest.mark.parametrize("body", ["import os; os.abort()", "import sys, os; sys.stdin.readline(); os.abort()"])
 def test_a_posterior_that_ends_the_library_is_one_line_and_the_next_one_is_read(fitted, monkeypatch, body):
     processes._end()
-    monkeypatch.setattr(store_file, "_WRITTEN", set())  # as in a process that did not make the fit
+    monkeypatch.setattr(store_file, "_TRUSTED", set())  # as in a process that did not make the fit
     with monkeypatch.context() as changed:
         changed.setattr(processes, "_CHILD", body)
         with pytest.raises(InferenceError, match=r"posterior\.nc in .* cannot be read \(.* gave up\)"):
             device_file.read_group(fitted, "posterior")
     assert "Fy" in device_file.read_group(fitted, "posterior")
     one = processes._child().pid
-    assert "Fy" in device_file.read_group(fitted, "posterior")
+    assert "Fy" in device_file.read_group(fitted, "prior")
     assert processes._child().pid == one  # one process for all files
 
 
@@ -370,17 +370,18 @@ def test_a_diagnosis_is_not_written_through_a_link_and_its_old_page_goes(tmp_pat
     assert not (tmp_path / "diagnosis.html").exists()
 
 
-def test_what_this_process_wrote_is_trusted_until_it_is_altered(copy, monkeypatch):
+def test_what_this_process_wrote_or_vetted_is_trusted_until_it_is_altered(copy, monkeypatch):
     asked = []
-    monkeypatch.setattr(store_file, "vet", lambda path, group: asked.append(path.name))
-    monkeypatch.setattr(store_file, "_WRITTEN", {file_digest(copy / "posterior.nc")})
+    monkeypatch.setattr(store_file, "vet", lambda path, group: asked.append(group))
+    monkeypatch.setattr(store_file, "_TRUSTED", {(file_digest(copy / "posterior.nc"), "")})
     device_file.read_group(copy, "posterior")
     assert not asked
     with h5py.File(copy / "posterior.nc", "a") as file:
         file.attrs["device"] = "another"
     reseal(copy)
-    device_file.read_group(copy, "posterior")
-    assert asked == ["posterior.nc"]
+    for group in ("posterior", "posterior", "prior", "prior"):
+        device_file.read_group(copy, group)
+    assert asked == ["posterior", "prior"]
 
 
 def test_what_a_fit_writes_is_no_window(fitted):

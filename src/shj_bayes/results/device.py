@@ -18,7 +18,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.results.fit import FitRecord
-from shj_bayes.results.store import check_files, has, read, vet_unless_own
+from shj_bayes.results.store import check_files, has, read, vet_unless_known
 
 EXTRA = "extra_"  # before the names of further channels
 FLOATS = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m", "force_kN", "before_kN", "after_kN")
@@ -198,7 +198,7 @@ def whole(folder: Path, group: str = "") -> Iterator[Path]:
     if has(FitRecord, folder):
         check_files(folder, read(FitRecord, folder))
     try:
-        vet_unless_own(folder / "posterior.nc", group)
+        vet_unless_known(folder / "posterior.nc", group)
         yield folder / "posterior.nc"
     except Exception as error:  # the readers raise dozens of kinds for damaged files; all mean the same
         raise InferenceError(
@@ -292,7 +292,7 @@ def read_channels(folder: Path) -> Channels:
     import h5py  # noqa: PLC0415  (who reads only the words of a diagnosis need not load it)
 
     try:
-        vet_unless_own(folder / "diagnosis.nc")
+        vet_unless_known(folder / "diagnosis.nc")
         with h5py.File(folder / "diagnosis.nc", "r") as file:
             data = {name: np.asarray(file[name], dtype=np.float64) for name in (*FLOATS, "direction", "run", "weight")}
         channels = Channels(
