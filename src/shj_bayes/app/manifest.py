@@ -16,11 +16,10 @@ from shj_bayes.errors import CampaignError, ShjError, did_you_mean, plain_lines,
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DIAGNOSES, FitOptions
 from shj_bayes.population.device import NO_TAGS, Tags
-from shj_bayes.results.campaign import SCHEMA, Connection
+from shj_bayes.results.campaign import MAX_NOTE, SCHEMA, Connection
 
 MAX_DEVICES = 100_000
 MAX_BYTES = 50_000_000
-MAX_NOTE = 4000  # characters
 # What stands in a manifest for a kind of value, and how that is called.
 _FORMS: dict[Any, tuple[Any, str]] = {
     str: (str, "a text"),

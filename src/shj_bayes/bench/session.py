@@ -8,28 +8,26 @@ import json
 import re
 import shutil
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import tomlkit
 
 from shj_bayes._util.files import file_digest, plain_name, read_json, write_text
 from shj_bayes.errors import CampaignError, plain_lines, plain_text, shown
+from shj_bayes.results.campaign import MAX_NOTE, SCHEMA, Connection
 
 MANIFEST, MEMORY, RECORDINGS = "campaign.toml", "bench/memory.json", "recordings"
 KEPT = "campaign-before-bench.toml"  # a manifest that somebody wrote by hand, as it was
 HEAD = "# Written by shj-bayes bench; the commands read it too.\n"
-SCHEMA = "shj-bayes/campaign/1"
-MOST_FILES, MOST_NAME, MOST_NOTE = 5000, 80, 4000
+MOST_FILES, MOST_NAME = 5000, 80
 READING = ("columns", "units", "rate_Hz", "sheet", "runs")  # options of reading, which files of a form share
 CHOSEN = (*READING, "model", "noise", "priors")  # options that a page may set
-CONNECTION = {
-    **{"bolts": int, "surfaces": int, "bolt_mm": float, "clamping_kN": float, "slot_mm": float},
-    **{"bolt_grade": str, "shim": str, "finish": str, "displacement": str},
-}
+CONNECTION = {name: get_args(hint)[0] for name, hint in get_type_hints(Connection).items()}
+Found = TypeVar("Found")
 _RUN = re.compile(r"^(.*?)[\s_.-]*(?:run|test|lauf|r|t)[\s_.-]*(\d+)$", re.IGNORECASE)
 _NUMBERED = re.compile(r"^(?:(.+?)[\s_.-]+|(.{2,}[^\W\d]))\d+$")  # "bare 2" and "bare2", not "s24"
 _ENDING = re.compile(r"(\.[A-Za-z0-9]{1,6}){1,2}$")
@@ -37,26 +35,13 @@ _UNSAFE = re.compile(r"[^\w .()+-]+")
 
 
 @dataclass(eq=False)
-class DeviceTable:
-    """A device of the manifest."""
+class Entry:
+    """A set of the manifest, or a device in it."""
 
     id: str
-    content: dict[str, Any]  # its table
-    files: list[str] = field(default_factory=list)  # ids of its recordings, in the order they were run
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        return str(self.content["name"])
-
-
-@dataclass(eq=False)
-class SetTable:
-    """A set of the manifest."""
-
-    id: str
-    content: dict[str, Any]  # its table without its devices
-    devices: list[DeviceTable] = field(default_factory=list)
+    content: dict[str, Any]  # its table; of a set without its devices
+    files: list[str] = field(default_factory=list)  # of a device: ids of its recordings, in the order they were run
+    devices: list["Entry"] = field(default_factory=list)  # of a set
 
     @property
     def name(self) -> str:
@@ -70,7 +55,7 @@ class Session:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.files: dict[str, Path] = {}
-        self.sets: list[SetTable] = []
+        self.sets: list[Entry] = []
         self.forms: dict[str, dict[str, Any]] = {}
         self.top: dict[str, Any] = {"schema": SCHEMA, "name": plain_name(folder.name)}
         self._numbers = count(1)
@@ -88,7 +73,8 @@ class Session:
             text = manifest.read_text(encoding="utf-8")
             try:
                 content = tomllib.loads(text)
-                self._take(content)
+                self.top = {key: value for key, value in content.items() if key != "set"}
+                self._take(content.get("set", ()), lambda name: self.folder / name)
             except (tomllib.TOMLDecodeError, KeyError, TypeError, AttributeError) as error:
                 raise CampaignError(
                     f"{MANIFEST} in {self.folder.name} is none that the bench can go on with "
@@ -102,13 +88,13 @@ class Session:
             if path.is_file() and not path.name.startswith(".") and path.resolve() not in known:
                 self._id_of(path)
 
-    def _take(self, content: Mapping[str, Any]) -> None:
-        self.top = {key: value for key, value in content.items() if key != "set"}
-        for table in content.get("set", ()):
-            own = SetTable(f"s{next(self._numbers)}", {k: v for k, v in table.items() if k != "device"})
+    def _take(self, sets: Iterable[Mapping[str, Any]], place: Callable[[str], Path]) -> None:
+        """Take tables of a manifest in; `place` gives the path of a recording by how they name it."""
+        for table in sets:
+            own = Entry(f"s{next(self._numbers)}", {k: v for k, v in table.items() if k != "device"})
             for device in table.get("device", ()):
-                files = [self._id_of(self.folder / str(name)) for name in device["recordings"]]
-                one = DeviceTable(f"d{next(self._numbers)}", dict(device), files)
+                files = [self._id_of(place(str(name))) for name in device["recordings"]]
+                one = Entry(f"d{next(self._numbers)}", dict(device), files)
                 assert one.name
                 own.devices.append(one)
             assert own.name
@@ -126,29 +112,21 @@ class Session:
         return all(path.resolve().is_relative_to(root) for path in self.files.values())
 
     @property
-    def devices(self) -> Iterator[tuple[SetTable, DeviceTable]]:
+    def devices(self) -> Iterator[tuple[Entry, Entry]]:
         """All devices, each with its set."""
         return ((group, device) for group in self.sets for device in group.devices)
 
-    def device(self, key: str) -> tuple[SetTable, DeviceTable]:
-        """Find a device by its id; `CampaignError` where there is none."""
-        found = next((pair for pair in self.devices if pair[1].id == key), None)
-        if found is None:
-            raise CampaignError(f"there is no device {shown(key, 20)} here any more; load the page again")
-        return found
+    def device(self, key: str) -> tuple[Entry, Entry]:
+        """Find a device by its id, with its set; `CampaignError` where there is none."""
+        return _here(next((pair for pair in self.devices if pair[1].id == key), None), "device", key)
 
-    def group(self, key: str) -> SetTable:
+    def group(self, key: str) -> Entry:
         """Find a set by its id; `CampaignError` where there is none."""
-        found = next((one for one in self.sets if one.id == key), None)
-        if found is None:
-            raise CampaignError(f"there is no set {shown(key, 20)} here any more; load the page again")
-        return found
+        return _here(next((one for one in self.sets if one.id == key), None), "set", key)
 
     def file(self, key: str) -> Path:
         """Find a file by its id; `CampaignError` where there is none."""
-        if key not in self.files:
-            raise CampaignError(f"there is no file {shown(key, 20)} here any more; load the page again")
-        return self.files[key]
+        return _here(self.files.get(key), "file", key)
 
     def reading_of(self, key: str) -> dict[str, Any]:
         """Options with which a file is read: those of the device that it belongs to."""
@@ -206,9 +184,9 @@ class Session:
                 mine.files = sorted([*mine.files, key], key=lambda one: _number(self.files[one]))
                 self.write()
                 return key
-        numbered = _NUMBERED.match(name)
+        numbered, taken = _NUMBERED.match(name), {device.name for _, device in self.devices}
         self._set_named(plain_name(numbered[1] or numbered[2]) if numbered else "Set 1").devices.append(
-            DeviceTable(f"d{next(self._numbers)}", {"name": self._free_name(name)}, [key])
+            Entry(f"d{next(self._numbers)}", {"name": _free_name(name, taken)}, [key])
         )
         if form in self.forms:
             self.set_reading(key, self.forms[form])
@@ -217,34 +195,23 @@ class Session:
 
     def bring(self, manifest: Path) -> None:
         """Copy the recordings of a manifest that ships with the program, with its sets and devices."""
-        for table in tomllib.loads(manifest.read_text(encoding="utf-8"))["set"]:
-            own = SetTable(f"s{next(self._numbers)}", {k: v for k, v in table.items() if k != "device"})
-            own.content["name"] = next(
-                name
-                for n in count(1)
-                if (name := own.name if n == 1 else f"{own.name} ({n})") not in {one.name for one in self.sets}
-            )
-            for device in table["device"]:
-                keys = []
-                for name in device["recordings"]:
-                    target = self.place_for(name)
-                    shutil.copyfile(manifest.parent / name, target)
-                    keys.append(self._id_of(target))
-                own.devices.append(DeviceTable(f"d{next(self._numbers)}", dict(device), keys))
-            self.sets.append(own)
+
+        def copied(name: str) -> Path:
+            target = self.place_for(name)
+            shutil.copyfile(manifest.parent / name, target)
+            return target
+
+        tables, taken = tomllib.loads(manifest.read_text(encoding="utf-8"))["set"], {one.name for one in self.sets}
+        self._take([table | {"name": _free_name(table["name"], taken)} for table in tables], copied)
         self.write()
 
-    def _in_folder(self, device: DeviceTable) -> bool:
+    def _in_folder(self, device: Entry) -> bool:
         return all(self.files[key].parent == self.folder / RECORDINGS for key in device.files)
 
-    def _free_name(self, name: str) -> str:
-        taken = {device.name for _, device in self.devices}
-        return next(one for n in count(1) if (one := name if n == 1 else f"{name} ({n})") not in taken)
-
-    def _set_named(self, name: str) -> SetTable:
+    def _set_named(self, name: str) -> Entry:
         own = next((one for one in self.sets if one.name == name), None)
         if own is None:
-            own = SetTable(f"s{next(self._numbers)}", {"name": name})
+            own = Entry(f"s{next(self._numbers)}", {"name": name})
             self.sets.append(own)
         return own
 
@@ -293,10 +260,10 @@ class Session:
         known, groups = {device.id: device for _, device in self.devices}, {one.id: one for one in self.sets}
         self.sets = []
         for key, name, wanted_devices in sets:
-            own = groups.get(key) or SetTable(f"s{next(self._numbers)}", {})
+            own = groups.get(key) or Entry(f"s{next(self._numbers)}", {})
             own.content["name"], own.devices = name, []
             for device_key, device_name, files in wanted_devices:
-                device = known.get(device_key) or DeviceTable(f"d{next(self._numbers)}", {})
+                device = known.get(device_key) or Entry(f"d{next(self._numbers)}", {})
                 device.content["name"], device.files = device_name, files
                 own.devices += [device] if files else []
             self.sets += [own] if own.devices else []
@@ -359,12 +326,23 @@ class Session:
         ]
         write_text(self.folder / MANIFEST, HEAD + tomlkit.dumps({**self.top, "set": tables}))
 
-    def _paths(self, device: DeviceTable) -> list[str]:
+    def _paths(self, device: Entry) -> list[str]:
         """Paths of a device's recordings as a manifest writes them: below its folder, with forward slashes."""
         return [
             path.relative_to(self.folder).as_posix() if path.is_relative_to(self.folder) else str(path)
             for path in map(self.files.__getitem__, device.files)
         ]
+
+
+def _here(found: Found | None, what: str, key: str) -> Found:
+    """Give what was found by its id; `CampaignError` where nothing was."""
+    if found is None:
+        raise CampaignError(f"there is no {what} {shown(key, 20)} here any more; load the page again")
+    return found
+
+
+def _free_name(name: str, taken: Container[str]) -> str:
+    return next(one for n in count(1) if (one := name if n == 1 else f"{name} ({n})") not in taken)
 
 
 def _number(path: Path) -> tuple[int, str]:
@@ -380,7 +358,7 @@ def _put(table: dict[str, Any], key: str, value: Any) -> None:
 
 
 def _note(said: Any) -> str:
-    return plain_lines(str(said or ""))[:MOST_NOTE].strip()
+    return plain_lines(str(said or ""))[:MAX_NOTE].strip()
 
 
 def _plain_options(options: Any, known: tuple[str, ...]) -> dict[str, Any]:

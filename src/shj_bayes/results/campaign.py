@@ -14,6 +14,7 @@ from shj_bayes.results.fit import USABLE, Trust
 
 SCHEMA: Literal["shj-bayes/campaign/1"] = "shj-bayes/campaign/1"
 LARGEST = 1e4  # number of a connection, in mm, kN or pieces
+MAX_NOTE = 4000  # characters of what somebody wrote
 LIKELY = 0.5  # a device is given what more probably than not it has
 WITH_SET = "with-set"  # in the folder of a device: its fit with its set's physics
 
