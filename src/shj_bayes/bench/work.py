@@ -166,8 +166,7 @@ def check(folder: Path, set_name: str, name: str, tell: Tell) -> Told:
         pairs = [(one, _motion(one)) for one in recordings]
         return {"passed": False, "reasons": blocking, "lines": [], "viewer": recording_viewer(pairs), "rows": []}
     runs = runs_of(recordings)
-    answer = first_answer(runs, how.device_model(len(runs), priors_of(how)))
-    said = answer.said
+    said, forces_kN = first_answer(runs, how.device_model(len(runs), priors_of(how)))
     reasons = doubt_lines(said)
     rmse = "" if said.rmse_kN is None else f"{said.rmse_kN:.3g} kN"
     return {
@@ -180,7 +179,7 @@ def check(folder: Path, set_name: str, name: str, tell: Tell) -> Told:
         "rmse": rmse,
         "headline": headline(said),
         "half_cycles": said.half_cycles,
-        "viewer": recording_viewer([(run.recording, run.motion) for run in runs], answer.force_kN),
+        "viewer": recording_viewer([(run.recording, run.motion) for run in runs], forces_kN),
     }
 
 

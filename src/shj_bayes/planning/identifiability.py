@@ -8,7 +8,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Literal
 
 import numpy as np
 
@@ -21,7 +20,6 @@ from shj_bayes.margins.virtual_test import counted_from, of_readings, read_off
 from shj_bayes.mismatch.data import data_of
 from shj_bayes.mismatch.regions import aliases_of
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import one_peak_speed
 from shj_bayes.results.diagnosis import Alias
@@ -56,19 +54,9 @@ class ExpectedParameter:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Confusion:
-    """Two effects that this displacement history cannot tell apart, and the cheapest test that would."""
-
-    pair: tuple[str, str]
-    correlation: float
-    next_test: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class Identifiability:
     """What a device's recordings can tell."""
 
-    schema: Literal["shj-bayes/identifiability/1"] = "shj-bayes/identifiability/1"
     doubts: tuple[Doubt, ...]  # with any of them a fit would say nothing of the device
     parameters: tuple[ExpectedParameter, ...] = ()
     remarks: tuple[RemarkRecord, ...] = ()  # what the data do not say, as a fit will remark it
@@ -79,7 +67,7 @@ class Identifiability:
     half_cycles: int = 0
     readings_of_knee: float | None = None  # of one half-cycle, on its way from one plateau to the other
     one_speed_mm_s: float | None = None  # peak speed of nearly all cycles; None where they differ
-    confusions: tuple[Confusion, ...] = ()
+    confusions: tuple[Alias, ...] = ()  # effects that this displacement history cannot tell apart, most alike first
 
     @property
     def few_readings(self) -> bool:
@@ -87,17 +75,12 @@ class Identifiability:
         return self.readings_of_knee is not None and self.readings_of_knee < FEW_READINGS
 
 
-@dataclass(frozen=True, eq=False)
-class FirstAnswer:
-    """A device at its most probable parameters, before anything was sampled."""
-
-    said: Identifiability
-    runs: tuple[Run, ...]
-    force_kN: tuple[FloatArray, ...]  # modelled, of each sample of each run; empty where there is no answer
-
-
-def first_answer(runs: Sequence[Run], model: DeviceModel, *, threads: int = 0) -> FirstAnswer:
+def first_answer(
+    runs: Sequence[Run], model: DeviceModel, *, threads: int = 0
+) -> tuple[Identifiability, tuple[FloatArray, ...]]:
     """Find the most probable parameters of consecutive runs, and what such a test tells of them.
+
+    Then comes the modelled force of each sample of each run, kN; empty where there is no answer.
 
     Parameters
     ----------
@@ -112,7 +95,7 @@ def first_answer(runs: Sequence[Run], model: DeviceModel, *, threads: int = 0) -
     try:
         posterior, start = find_start(make_posterior(runs, model), threads=threads)
     except InferenceError:
-        return FirstAnswer(Identifiability(doubts=(Doubt.NO_TOP,), half_cycles=n_half), tuple(runs), ())
+        return Identifiability(doubts=(Doubt.NO_TOP,), half_cycles=n_half), ()
     theta = posterior.natural(start.free[None])[0]
     forces = tuple(_force(posterior, theta, i) for i in range(len(runs)))
     left = np.concatenate([(r.recording.force_kN - f)[r.used] for r, f in zip(runs, forces, strict=True)])
@@ -131,23 +114,14 @@ def first_answer(runs: Sequence[Run], model: DeviceModel, *, threads: int = 0) -
         half_cycles=n_half,
         readings_of_knee=float(np.median(np.concatenate([_in_knee(r, 2.0 * capacity / stiffness) for r in runs]))),
         one_speed_mm_s=one_peak_speed(np.concatenate([_peaks(run) for run in runs])),
-        confusions=confusions(aliases_of(data_of(runs, model))),
+        confusions=tuple(aliases_of(data_of(runs, model))),
     )
-    return FirstAnswer(said, tuple(runs), forces)
+    return said, forces
 
 
 def _peaks(run: Run) -> FloatArray:
     """Give the peak speed of each half-cycle from one reversal to the next, mm/s."""
     return np.asarray(np.maximum.reduceat(run.motion.speed_mm_s, run.motion.start[:-1])[1:-1])
-
-
-def confusions(aliases: Sequence[Alias]) -> tuple[Confusion, ...]:
-    """Say of pairs that a displacement history cannot tell apart which test would, the most alike first."""
-    known, out = catalogue(), []
-    for alias in aliases:
-        tests = [known[name].next_test for name in alias.pair if name in known]
-        out.append(Confusion(pair=alias.pair, correlation=alias.correlation, next_test=tests[0]))
-    return tuple(out)
 
 
 def _expected(posterior: Posterior, start: Start, natural: FloatArray) -> tuple[ExpectedParameter, ...]:

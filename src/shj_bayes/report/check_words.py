@@ -1,10 +1,8 @@
 """What a recording can tell before it is fitted, in words: `Identifiability` as rows and sentences."""
 
-from typing import Any
-
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.effects.effect import catalogue
-from shj_bayes.planning.identifiability import Confusion, Doubt, Identifiability
+from shj_bayes.planning.identifiability import Doubt, Identifiability
 from shj_bayes.report import words
 from shj_bayes.report.words import ForceUnit, unit_for
 
@@ -87,15 +85,10 @@ def check_lines(said: Identifiability, family: str) -> list[str]:
 
 def confusion_rows(said: Identifiability) -> list[dict[str, str]]:
     """Give what this displacement history cannot tell apart, each with the cheapest test that would."""
-    return [_confusion(one) for one in said.confusions[:MOST_CONFUSIONS]]
-
-
-def _confusion(one: Confusion) -> dict[str, Any]:
-    known = catalogue()
-    titles = ["the base law" if name == BASE_LAW else known[name].title for name in one.pair]
-    return {
-        "first": titles[0],
-        "second": titles[1],
-        "alike": f"{100.0 * abs(one.correlation):.0f} %",
-        "test": one.next_test,
-    }
+    known, out = catalogue(), []
+    for one in said.confusions[:MOST_CONFUSIONS]:
+        first, second = ("the base law" if name == BASE_LAW else known[name].title for name in one.pair)
+        test = next(known[name].next_test for name in one.pair if name in known)
+        alike = f"{100.0 * abs(one.correlation):.0f} %"
+        out.append({"first": first, "second": second, "alike": alike, "test": test})
+    return out

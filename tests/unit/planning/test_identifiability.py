@@ -22,7 +22,7 @@ SEVERAL = tuple(Block(24.0, v / (2 * np.pi * 24.0), 2) for v in (2.0, 10.0, 30.0
 def said_of(blocks: tuple[Block, ...], truth: Truth = TRUTH, rate_Hz: float = 8.0) -> Identifiability:
     """Record of one run of a simulated device."""
     runs = runs_of(simulate_device(truth, seed=2, rate_Hz=rate_Hz, n_runs=1, blocks=blocks))
-    return first_answer(runs, DeviceModel(1, read_priors()), threads=1).said
+    return first_answer(runs, DeviceModel(1, read_priors()), threads=1)[0]
 
 
 @pytest.fixture(scope="module")
@@ -80,5 +80,5 @@ def test_rows_have_units_and_forces_of_small_devices_are_in_newtons(plain: Ident
     rows = {row["name"]: row for row in parameter_rows(plain)}
     assert (rows["Fy"]["unit"], rows["K"]["unit"], rows["beta"]["unit"]) == ("kN", "kN/mm", "")
     runs = runs_of(simulate_device(SMALL, seed=2, rate_Hz=8.0, n_runs=1, blocks=ONE_SPEED))
-    small = first_answer(runs, DeviceModel(1, read_priors("general")), threads=1).said
+    small = first_answer(runs, DeviceModel(1, read_priors("general")), threads=1)[0]
     assert {row["name"]: row["unit"] for row in parameter_rows(small)}["Fy"] == "N"
