@@ -31,7 +31,7 @@ def elastoplastic() -> RunData:
 
 
 def test_energy_of_an_elastoplastic_loop(elastoplastic: RunData) -> None:
-    energy = numbers.cycle_energy(elastoplastic)
+    energy = numbers.cycles_of(elastoplastic, elastoplastic.force_kN)
     closed_form = 4 * FY * (AMPLITUDE - FY / K)
     assert energy.measured_J.size == 4
     assert energy.measured_J[1:] == pytest.approx(closed_form, rel=2e-3)
@@ -46,7 +46,7 @@ def test_work_between_is_the_area_of_a_triangle() -> None:
 
 
 def test_cycles_and_peak_speed(elastoplastic: RunData) -> None:
-    energy = numbers.cycle_energy(elastoplastic)
+    energy = numbers.cycles_of(elastoplastic, elastoplastic.force_kN)
     assert energy.amplitude_mm == pytest.approx([AMPLITUDE] * 4, rel=1e-3)
     assert one_peak_speed(energy.peak_speed_mm_s) == pytest.approx(2 * np.pi * 0.05 * AMPLITUDE, rel=0.01)
 
@@ -54,18 +54,18 @@ def test_cycles_and_peak_speed(elastoplastic: RunData) -> None:
 def test_two_peak_speeds_are_not_one() -> None:
     time, motion = exact_motion((Block(20.0, 0.05, 3), Block(20.0, 0.2, 3)), 50.0)
     run = run_of(time, motion.displacement_mm, motion.half_cycle, motion.displacement_mm, motion.speed_mm_s)
-    assert one_peak_speed(numbers.cycle_energy(run).peak_speed_mm_s) is None
+    assert one_peak_speed(numbers.cycles_of(run, run.force_kN).peak_speed_mm_s) is None
 
 
 def test_cycles_of_a_block_change_and_of_nothing() -> None:
     time, motion = exact_motion((Block(6.0, 0.27, 3), Block(12.0, 0.13, 3)), 20.0)
     run = run_of(time, motion.displacement_mm, motion.half_cycle, motion.displacement_mm, motion.speed_mm_s)
-    energy = numbers.cycle_energy(run)
+    energy = numbers.cycles_of(run, run.force_kN)
     assert energy.amplitude_mm == pytest.approx([6, 6, 6, 12, 12, 12], rel=0.02)
     assert energy.measured_J == pytest.approx(np.zeros(6), abs=1.0)  # a spring gives back what it took
     ramp = np.linspace(0.0, 5.0, 30)
     still = run_of(np.arange(30.0), ramp, np.zeros(30, dtype=np.int64), ramp, np.ones(30))
-    assert numbers.cycle_energy(still).measured_J.size == 0
+    assert numbers.cycles_of(still, still.force_kN).measured_J.size == 0
     assert numbers.pick_cycle(still) == slice(0, 30)
 
 
@@ -98,16 +98,15 @@ def made_run(force_of) -> RunData:
 def test_shape_of_cycles_is_that_of_the_loop_they_were_made_from() -> None:
     """A rectangle has an equivalent damping of 2/pi; sliding forces in push and pull and the envelope are read off."""
     run = made_run(lambda x, sign: np.where(sign > 0, 50.0, -40.0) + (np.abs(x) > 39) * 10.0 * sign)
-    energy = numbers.cycle_energy(run)
-    shape = numbers.cycle_shape(run, energy, run.force_kN)
+    shape = numbers.cycles_of(run, run.force_kN)
     assert shape.push_sliding_kN == pytest.approx(np.full(shape.push_kN.size, 50.0))
     assert shape.pull_sliding_kN == pytest.approx(np.full(shape.push_kN.size, -40.0))
     assert (shape.push_kN.max(), shape.pull_kN.min()) == (60.0, -50.0)
     flat = made_run(lambda _, sign: 50.0 * np.where(sign >= 0, 1, -1))
-    shape = numbers.cycle_shape(flat, numbers.cycle_energy(flat), flat.force_kN)
+    shape = numbers.cycles_of(flat, flat.force_kN)
     assert shape.damping_percent == pytest.approx(np.full(shape.push_kN.size, 200 / np.pi), rel=0.01)
     elastic = made_run(lambda x, _: 2.0 * x)
-    shape = numbers.cycle_shape(elastic, numbers.cycle_energy(elastic), elastic.force_kN)
+    shape = numbers.cycles_of(elastic, elastic.force_kN)
     assert np.isnan(shape.push_sliding_kN).all()  # nothing slides
     assert shape.damping_percent == pytest.approx(np.zeros(shape.push_kN.size), abs=0.5)
 
@@ -115,7 +114,7 @@ def test_shape_of_cycles_is_that_of_the_loop_they_were_made_from() -> None:
 def test_backbone_is_the_force_where_cycles_turn() -> None:
     """Friction of 50 kN and a spring of 0.5 kN/mm meet 20 kN more at the ends of a 40 mm stroke, either way."""
     run = made_run(lambda x, sign: 0.5 * x + np.where(np.abs(x) > 39.9, 50.0 * np.sign(x), 50.0 * sign))
-    shape = numbers.cycle_shape(run, numbers.cycle_energy(run), 2 * run.force_kN)
+    shape = numbers.cycles_of(run, 2 * run.force_kN)
     assert np.abs(shape.turn_mm) == pytest.approx(np.full(shape.turn_mm.size, 40.0), abs=0.01)
     assert shape.turn_kN == pytest.approx(np.sign(shape.turn_mm) * 70.0, abs=0.01)
     assert shape.model_turn_kN == pytest.approx(2 * shape.turn_kN)
@@ -168,7 +167,7 @@ def test_freed_parameters_are_answered_in_words() -> None:
 
 @pytest.mark.parametrize("n_runs", [1, 3, 6])
 def test_the_key_of_the_energy_picture_has_room_for_every_run(elastoplastic: RunData, n_runs: int) -> None:
-    energy = numbers.cycle_energy(elastoplastic)
+    energy = numbers.cycles_of(elastoplastic, elastoplastic.force_kN)
     picture = unquote(loops.energy([replace(energy, run=number) for number in range(1, n_runs + 1)]))
     width, height = map(float, re.findall(r'<svg width="(\d+)" height="(\d+)"', picture)[0])
     assert height > 0.4 * width

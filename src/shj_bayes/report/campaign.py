@@ -30,7 +30,6 @@ from shj_bayes.report import sets, words
 from shj_bayes.report.campaign_physics import NUMBERS, certain, class_words, set_words, statement, statements, table
 from shj_bayes.report.diagnosis_words import along_words, percent
 from shj_bayes.report.figures import population as figures
-from shj_bayes.report.figures.population import DeviceCurve
 from shj_bayes.report.page import PAGE, Picture, write_page
 from shj_bayes.results.campaign import (
     WITH_SET,
@@ -41,7 +40,7 @@ from shj_bayes.results.campaign import (
     read_campaign,
 )
 from shj_bayes.results.device import DeviceResult
-from shj_bayes.results.diagnosis import DependenceId, DiagnosisRecord, LeftOver
+from shj_bayes.results.diagnosis import CurveRecord, DependenceId, DiagnosisRecord, LeftOver
 from shj_bayes.results.fit import SummaryRecord
 from shj_bayes.results.store import DIAGNOSIS, find, has, read
 
@@ -55,7 +54,8 @@ TITLES = {
     "gamma": "Speed coefficient",
 }
 PLACES = 61  # of a curve
-Panel = tuple[str, SharedDependence, list[DeviceCurve]]  # set, class, curves of its devices
+Curve = tuple[CurveRecord, bool]  # of a device, and whether it shows it alone
+Panel = tuple[str, SharedDependence, list[Curve]]  # set, class, curves of its devices
 MOST = 40  # curves in a panel, and panels in a picture
 
 
@@ -260,17 +260,24 @@ def _picture(parts: Sequence[Panel]) -> Picture:
     return Picture(drawn, alt, said, f"Change of the {what}", wide=True)
 
 
-def _curve(place: Path, row: SharedDependence, i: int, with_set: bool) -> DeviceCurve | None:
-    """Curve of a device: of its fit with what its set has, or of its diagnosis; None where neither holds one."""
+def _curve(place: Path, row: SharedDependence, i: int, with_set: bool) -> Curve | None:
+    """Curve of a device, and whether it shows it alone: of its fit with what its set has, or of its diagnosis.
+
+    None where neither holds one.
+    """
     try:
         if with_set and curve_named(row.effects[i]) is not None:
-            return _of_fit(place, row.effects[i], alone=row.alone[i])
-        return _of_diagnosis(place / DIAGNOSIS, row)
+            found, alone = _of_fit(place, row, row.effects[i]), row.alone[i]
+        else:
+            known, alone = read(DiagnosisRecord, place / DIAGNOSIS).coordinates, True
+            own = (row.action, row.coordinate, "both")
+            found = next((c.curve for c in known if (c.action, c.coordinate, c.direction) == own and c.curve), None)
     except (ShjError, OSError, KeyError, TypeError, ValueError):  # a damaged file: the page goes without that curve
         return None
+    return None if found is None else (found, alone)
 
 
-def _of_fit(place: Path, effect: str, *, alone: bool) -> DeviceCurve | None:
+def _of_fit(place: Path, row: SharedDependence, effect: str) -> CurveRecord | None:
     """Curve of a device's fit with what its set has, from its posterior; None where that does not hold it."""
     curve, fit = curve_named(effect), DeviceResult.read(place / WITH_SET)
     if curve is None or curve.sides or effect not in fit.record.model.effects:
@@ -279,18 +286,9 @@ def _of_fit(place: Path, effect: str, *, alone: bool) -> DeviceCurve | None:
     coefficients = np.stack([fit.draws[f"{effect}.c{k}"] for k in range(1, curve.n + 1)])
     share = np.linspace(0.0, 1.0, PLACES)
     values = 100.0 * curve.rows(share, np.ones(PLACES)) @ coefficients
-    low, high = np.quantile(values, [0.05, 0.95], axis=1)
-    return DeviceCurve(curve.over.value_of(share, history), values.mean(axis=1), low, high, alone)
-
-
-def _of_diagnosis(place: Path, row: SharedDependence) -> DeviceCurve | None:
-    """Curve that the diagnosis of a device found."""
-    for one in read(DiagnosisRecord, place).coordinates:
-        if (one.action, one.coordinate, one.direction) == (row.action, row.coordinate, "both") and one.curve:
-            curve = one.curve
-            at, mean, low, high = map(np.array, (curve.at, curve.mean, curve.q05, curve.q95))
-            return DeviceCurve(at, mean, low, high, alone=True)
-    return None
+    bands = (curve.over.value_of(share, history), values.mean(axis=1), *np.quantile(values, [0.05, 0.95], axis=1))
+    at, mean, low, high = (tuple(band.tolist()) for band in bands)
+    return CurveRecord(at=at, mean=mean, q05=low, q95=high, unit=row.unit)
 
 
 MARGINS = "margins.html"  # sheet of `shj-bayes margins`, linked where it is

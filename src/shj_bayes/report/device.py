@@ -48,7 +48,7 @@ def content(device: DeviceData, numbers: DeviceFigures, left: LeftOver) -> dict[
     units = {row.name: unit.of(row.unit) for row in record.parameters}
     unknown, family = record.undetermined, record.model.priors
     gamma = record.parameter("gamma") or record.parameter("velocity.size")
-    peaks = [float(e.peak_speed_mm_s.max()) for e in numbers.energies if e.peak_speed_mm_s.size]
+    peaks = [float(e.peak_speed_mm_s.max()) for e in numbers.cycles if e.peak_speed_mm_s.size]
     peak = numbers.one_speed or max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))
     return {
         "name": device.name,
@@ -190,12 +190,12 @@ def _zero(error_kN: ZeroError | None, unit: ForceUnit) -> str:
 
 def energy_words(numbers: DeviceFigures) -> str:
     """How well the energy is predicted."""
-    n = sum(e.measured_J.size for e in numbers.energies)
+    n = sum(e.measured_J.size for e in numbers.cycles)
     if n == 0:
         return "The recording holds no full cycle from mid-stroke to mid-stroke, so no energy per cycle is given."
-    outside = sum(e.n_outside for e in numbers.energies)
-    measured = sum(float(e.measured_J.sum()) for e in numbers.energies)
-    error = 100 * (sum(float(e.median_J.sum()) for e in numbers.energies) / measured - 1)
+    outside = sum(e.n_outside for e in numbers.cycles)
+    measured = sum(float(e.measured_J.sum()) for e in numbers.cycles)
+    error = 100 * (sum(float(e.median_J.sum()) for e in numbers.cycles) / measured - 1)
     shown = f"{measured / 1000:.4g} kJ" if measured >= 1000 else f"{measured:.4g} J"
     said = "the same to within 0.1 %" if abs(error) < 0.1 else f"{abs(error):.1f} % {'more' if error > 0 else 'less'}"
     return (

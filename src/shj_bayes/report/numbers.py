@@ -155,8 +155,8 @@ def cycle_marks(run: RunData) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class CycleEnergy:
-    """Energy per cycle of one run, arrays of shape (n_cycles,)."""
+class Cycles:
+    """Energy, envelope, sliding force and damping of the full cycles of one run, arrays of shape (n_cycles,)."""
 
     run: int
     amplitude_mm: FloatArray = field(repr=False)
@@ -166,35 +166,6 @@ class CycleEnergy:
     low_J: FloatArray = field(repr=False)
     median_J: FloatArray = field(repr=False)
     high_J: FloatArray = field(repr=False)
-
-    @property
-    def n_outside(self) -> int:
-        """Cycles whose measured energy lies outside the predicted band."""
-        return int(np.sum((self.measured_J < self.low_J) | (self.measured_J > self.high_J)))
-
-
-def cycle_energy(run: RunData) -> CycleEnergy:
-    """Measured and predicted energy of every full cycle of a run."""
-    marks = cycle_marks(run)
-    x, spans = run.displacement_mm, whole_spans(marks)
-    low, median, high = np.quantile(work_between(run.predicted_kN, x, marks), LEVELS, axis=0)
-    return CycleEnergy(
-        run.number,
-        np.array([0.5 * np.ptp(x[a:b]) for a, b in spans]),
-        # The largest of many noisy speeds is too large; the 98th percentile of a sine is its peak to 0.1 %.
-        np.array([np.quantile(run.speed_mm_s[a:b], 0.98) for a, b in spans]),
-        work_between(run.force_kN, x, marks),
-        low,
-        median,
-        high,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class CycleShape:
-    """Envelope, sliding force and damping of the cycles of one run, arrays of shape (n_cycles,)."""
-
-    run: int
     # push_kN, pull_kN: largest and smallest measured force: the envelope
     push_kN: FloatArray = field(repr=False)
     pull_kN: FloatArray = field(repr=False)
@@ -213,12 +184,20 @@ class CycleShape:
     damping_percent: FloatArray = field(repr=False)
     model_damping_percent: FloatArray = field(repr=False)
 
+    @property
+    def n_outside(self) -> int:
+        """Cycles whose measured energy lies outside the predicted band."""
+        return int(np.sum((self.measured_J < self.low_J) | (self.measured_J > self.high_J)))
 
-def cycle_shape(run: RunData, energy: CycleEnergy, median_kN: FloatArray) -> CycleShape:
-    """Envelope, sliding force and damping of every full cycle of a run; `median_kN` is the modelled force."""
-    spans = whole_spans(cycle_marks(run))
+
+def cycles_of(run: RunData, median_kN: FloatArray) -> Cycles:
+    """Measure every full cycle of a run, and what is predicted of it; `median_kN` is the modelled force."""
+    marks = cycle_marks(run)
+    spans = whole_spans(marks)
     x, f, direction = run.displacement_mm, run.force_kN, run.direction
     turns = np.array([a + int(at) for a, b in spans for at in (np.argmax(x[a:b]), np.argmin(x[a:b]))], dtype=np.int64)
+    amplitude, measured = np.array([0.5 * np.ptp(x[a:b]) for a, b in spans]), work_between(f, x, marks)
+    low, middle, high = np.quantile(work_between(run.predicted_kN, x, marks), LEVELS, axis=0)
 
     def sliding(a: int, b: int, sign: int) -> float:
         middle, quarter = 0.5 * (x[a:b].max() + x[a:b].min()), 0.25 * np.ptp(x[a:b])
@@ -229,10 +208,17 @@ def cycle_shape(run: RunData, energy: CycleEnergy, median_kN: FloatArray) -> Cyc
     def damping(energy_J: FloatArray, force: FloatArray) -> FloatArray:
         # Not the extremes: of noisy samples they are too large.
         half = np.array([0.5 * np.subtract(*np.quantile(force[a:b], (0.98, 0.02))) for a, b in spans])
-        return np.asarray(100 * energy_J / (2 * np.pi * half * energy.amplitude_mm))
+        return np.asarray(100 * energy_J / (2 * np.pi * half * amplitude))
 
-    return CycleShape(
+    return Cycles(
         run.number,
+        amplitude,
+        # The largest of many noisy speeds is too large; the 98th percentile of a sine is its peak to 0.1 %.
+        np.array([np.quantile(run.speed_mm_s[a:b], 0.98) for a, b in spans]),
+        measured,
+        low,
+        middle,
+        high,
         np.array([f[a:b].max() for a, b in spans]),
         np.array([f[a:b].min() for a, b in spans]),
         x[turns],
@@ -240,8 +226,8 @@ def cycle_shape(run: RunData, energy: CycleEnergy, median_kN: FloatArray) -> Cyc
         median_kN[turns],
         np.array([sliding(a, b, 1) for a, b in spans]),
         np.array([sliding(a, b, -1) for a, b in spans]),
-        damping(energy.measured_J, f),
-        damping(energy.median_J, median_kN),
+        damping(measured, f),
+        damping(middle, median_kN),
     )
 
 
@@ -278,8 +264,7 @@ class DeviceFigures:
     """All that is drawn or said, computed once."""
 
     bands: tuple[Band, ...]
-    energies: tuple[CycleEnergy, ...]
-    shapes: tuple[CycleShape, ...]
+    cycles: tuple[Cycles, ...]
     losses: dict[int, tuple[float, float, float]]
     profiles: tuple[tuple[StrokeProfile, StrokeProfile], ...]
     one_speed: float | None
@@ -288,22 +273,19 @@ class DeviceFigures:
 
 def numbers_of(device: DeviceData) -> DeviceFigures:
     """Compute the numbers of a device page."""
-    energies = tuple(cycle_energy(run) for run in device.runs)
-    first = device.runs[0]
-    whole = 0.5 * float(np.ptp(first.displacement_mm))
-    amplitude = max((float(e.amplitude_mm.max()) for e in energies if e.amplitude_mm.size), default=whole)
-    speed = max((float(np.median(e.peak_speed_mm_s)) for e in energies if e.peak_speed_mm_s.size), default=0.0)
-    speed = speed or float(np.quantile(first.speed_mm_s, 0.98))
     bands = tuple(force_band(run) for run in device.runs)
-    measured = zip(device.runs, energies, bands, strict=True)
+    cycles = tuple(cycles_of(run, band.median) for run, band in zip(device.runs, bands, strict=True))
+    first, speeds = device.runs[0], [c.peak_speed_mm_s for c in cycles]
+    whole = 0.5 * float(np.ptp(first.displacement_mm))
+    amplitude = max((float(c.amplitude_mm.max()) for c in cycles if c.amplitude_mm.size), default=whole)
+    speed = max((float(np.median(own)) for own in speeds if own.size), default=0.0)
     return DeviceFigures(
         bands,
-        energies,
-        tuple(cycle_shape(run, energy, band.median) for run, energy, band in measured),
+        cycles,
         degradation(device),
         tuple(stroke_profiles(run) for run in device.runs),
-        one_peak_speed(np.concatenate([e.peak_speed_mm_s for e in energies])),
-        beforehand(device, amplitude, speed),
+        one_peak_speed(np.concatenate(speeds)),
+        beforehand(device, amplitude, speed or float(np.quantile(first.speed_mm_s, 0.98))),
     )
 
 

@@ -30,7 +30,7 @@ from shj_bayes.report.figures.canvas import (
     sheet,
     svg,
 )
-from shj_bayes.report.numbers import Band, CycleEnergy, CycleShape, DeviceFigures, StrokeProfile, pick_cycle
+from shj_bayes.report.numbers import Band, Cycles, DeviceFigures, StrokeProfile, pick_cycle
 from shj_bayes.report.words import KN, ForceUnit, force_unit
 from shj_bayes.results.device import DeviceData, IntArray, RunData
 
@@ -79,7 +79,7 @@ def all_cycles(x: FloatArray, force: FloatArray, band: Band, starts: IntArray, u
     return svg(figure)
 
 
-def energy(energies: Sequence[CycleEnergy]) -> str:
+def energy(energies: Sequence[Cycles]) -> str:
     """Energy of every cycle, measured and predicted."""
     figure, axes = sheet()
     largest = max(float(e.measured_J.max()) for e in energies)
@@ -157,7 +157,7 @@ def over_speed(runs: Sequence[tuple[str, FloatArray, FloatArray, FloatArray]], u
     return svg(figure)
 
 
-def envelope(shapes: Sequence[CycleShape], unit: ForceUnit) -> str:
+def envelope(shapes: Sequence[Cycles], unit: ForceUnit) -> str:
     """Largest and sliding force of every cycle, push and pull."""
     figure, axes = sheet()
     at = 0
@@ -177,7 +177,7 @@ def envelope(shapes: Sequence[CycleShape], unit: ForceUnit) -> str:
     return svg(figure)
 
 
-def backbone(shapes: Sequence[CycleShape], unit: ForceUnit) -> str:
+def backbone(shapes: Sequence[Cycles], unit: ForceUnit) -> str:
     """Force where the cycles turn, measured and modelled, in the order of the displacement there."""
     figure, axes = sheet()
     for shape, colour in zip(shapes, SERIES, strict=False):
@@ -190,7 +190,7 @@ def backbone(shapes: Sequence[CycleShape], unit: ForceUnit) -> str:
     return svg(figure)
 
 
-def damping(shapes: Sequence[CycleShape]) -> str:
+def damping(shapes: Sequence[Cycles]) -> str:
     """Equivalent viscous damping of every cycle, measured and modelled."""
     figure, axes = sheet()
     at = 0
@@ -377,8 +377,7 @@ def draw(device: DeviceData, numbers: DeviceFigures) -> dict[str, Any]:
     """All pictures of a device page by place."""
     unit, b = force_unit(device.record), numbers.before
     runs = list(zip(device.runs, numbers.bands, strict=True))
-    shapes = [shape for shape in numbers.shapes if shape.push_kN.size]
-    energies = [e for e in numbers.energies if e.measured_J.size]
+    cycles = [one for one in numbers.cycles if one.measured_J.size]
     draws, units = _shown(device, unit)
     noise = {name for name in draws if name in noise_parameters()}
     return {
@@ -392,12 +391,12 @@ def draw(device: DeviceData, numbers: DeviceFigures) -> dict[str, Any]:
             [(f"run {r.number}", r.direction * r.speed_mm_s, r.force_kN, band.median) for r, band in runs], unit
         ),
         "residuals": [over_stroke(profiles, unit) for profiles in numbers.profiles],
-        "cycles": energies
+        "cycles": cycles
         and {
-            "envelope": envelope(shapes, unit),
-            "backbone": backbone(shapes, unit),
-            "energy": energy(energies),
-            "damping": damping(shapes),
+            "envelope": envelope(cycles, unit),
+            "backbone": backbone(cycles, unit),
+            "energy": energy(cycles),
+            "damping": damping(cycles),
         },
         "channels": _channels(device),
         "densities": _densities(device, unit, draws, units),

@@ -2,13 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from shj_bayes.margins.curves import CurveContrast
 from shj_bayes.model.coordinates import coordinate_named
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.population.predict import LoopBand
 from shj_bayes.report.figures.canvas import (
     BLUE,
@@ -28,6 +26,7 @@ from shj_bayes.report.figures.canvas import (
     svg,
 )
 from shj_bayes.report.sets import SetBand
+from shj_bayes.results.diagnosis import CurveRecord
 
 MAX_NAME = 34
 MAX_COLUMNS = 3  # panels side by side
@@ -107,19 +106,11 @@ def loop(parts: Sequence[LoopBand]) -> str:
     return svg(figure)
 
 
-@dataclass(frozen=True, eq=False)
-class DeviceCurve:
-    """Curve of a device with its 90 % band, arrays of shape (n,): change, per cent of Fy, over a coordinate."""
+def curves(parts: Sequence[tuple[str, Sequence[tuple[CurveRecord, bool]]]], axis: str) -> str:
+    """Draw the curves of the devices of each set with 90 % bands, per cent of Fy; the same scale in all panels.
 
-    at: FloatArray
-    mean: FloatArray
-    low: FloatArray
-    high: FloatArray
-    alone: bool  # the device shows it alone; otherwise its set makes it certain
-
-
-def curves(parts: Sequence[tuple[str, Sequence[DeviceCurve]]], axis: str) -> str:
-    """Draw the curves of the devices of each set with 90 % bands, per cent of Fy; the same scale in all panels."""
+    Beside each stands whether the device shows it alone; otherwise its set makes it certain.
+    """
     columns = min(MAX_COLUMNS, len(parts))
     rows = math.ceil(len(parts) / columns)
     figure = Figure(WIDE, 223 * rows, [1] * rows, columns, gap=(14, 24), top=22)
@@ -128,11 +119,11 @@ def curves(parts: Sequence[tuple[str, Sequence[DeviceCurve]]], axis: str) -> str
     for place, (axes, (name, bands)) in enumerate(zip(figure.axes, parts, strict=True)):
         axes.across(0)
         seen: set[bool] = set()
-        for band in bands:
-            colour, style, said = words[band.alone]
-            axes.fill(band.at, band.low, band.high, color=colour, alpha=0.12)
-            axes.plot(band.at, band.mean, style, color=colour, label="" if band.alone in seen else said)
-            seen.add(band.alone)
+        for curve, alone in bands:
+            colour, style, said = words[alone]
+            axes.fill(curve.at, curve.q05, curve.q95, color=colour, alpha=0.12)
+            axes.plot(curve.at, curve.mean, style, color=colour, label="" if alone in seen else said)
+            seen.add(alone)
         axes.title = name[:40]
         label(axes, axis if place >= len(parts) - columns else "", "" if place % columns else "change (% of Fy)")
         legend(axes, 1)
