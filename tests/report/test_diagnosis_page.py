@@ -14,7 +14,7 @@ from page_tools import Page, check_safe, folded
 
 from shj_bayes.app.device import diagnosis_text
 from shj_bayes.errors import ReportError
-from shj_bayes.report.diagnosis_numbers import profile, read_diagnosis
+from shj_bayes.report.diagnosis_numbers import read_diagnosis, signed_means
 from shj_bayes.report.diagnosis_page import draw, moves, render_diagnosis
 from shj_bayes.report.diagnosis_words import (
     VERDICTS,
@@ -31,6 +31,7 @@ from shj_bayes.report.diagnosis_words import (
 )
 from shj_bayes.report.page import kept_together
 from shj_bayes.results.codec import from_json
+from shj_bayes.results.device import Channels
 from shj_bayes.results.diagnosis import DependenceRecord, DiagnosisRecord, DrawsInShort, Member, SetProbability, Shift
 
 
@@ -174,10 +175,11 @@ def test_nothing_found_shows_one_law(pages: dict[str, Page]) -> None:
 def test_profile_signs_along_the_motion() -> None:
     x = np.tile(np.linspace(0, 10, 100), 2)
     q = np.repeat([1, -1], 100)
-    p = profile(x, 2.0 * q, q, np.ones(200, dtype=bool), 5)
+    c = Channels(x, x, x, x, x, q, np.ones_like(q), np.ones(200, dtype=bool), x, x, x)
+    p = signed_means(c, 2.0 * q, {"position_mm": 5})
     assert p.push_kN == pytest.approx(2.0)
     assert p.pull_kN == pytest.approx(2.0)
-    none = profile(x, 2.0 * q, q, q > 0, 5)
+    none = signed_means(replace(c, used=q > 0), 2.0 * q, {"position_mm": 5})
     assert np.isnan(none.pull_kN).all()
 
 

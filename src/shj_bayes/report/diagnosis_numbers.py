@@ -1,6 +1,7 @@
 """Numbers and data of the diagnosis page: tables, and what its pictures draw."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report.numbers import bin_means, edges_of, index_in
 from shj_bayes.report.words import ForceUnit, unit_for
-from shj_bayes.results.device import BoolArray, Channels, IntArray, read_channels
+from shj_bayes.results.device import Channels, read_channels
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.store import read
 
@@ -49,51 +50,28 @@ FEWEST = 3  # samples of a bin that is drawn
 
 
 @dataclass(frozen=True, eq=False)
-class Profile:
-    """Mean direction-signed residual over one coordinate, arrays of shape (n_bins,); nan where there is no sample."""
+class SignedMeans:
+    """Mean residual along the motion over one coordinate, or over several; nan where there are too few samples."""
 
-    centre: FloatArray = field(repr=False)  # middle of each bin
-    # push_kN, pull_kN: mean residual; positive where the device resists more than the law says
+    edges: tuple[FloatArray, ...] = field(repr=False)  # of the bins of each coordinate, shape (n + 1,)
+    # push_kN, pull_kN: shape (n,), or (n, m, ...); positive where the device resists more than the law says
     push_kN: FloatArray = field(repr=False)
     pull_kN: FloatArray = field(repr=False)
 
 
-@dataclass(frozen=True, eq=False)
-class Map:
-    """Mean direction-signed residual over stroke position and travel."""
-
-    # position_mm, travel_m: shape (n + 1,): edges
-    position_mm: FloatArray = field(repr=False)
-    travel_m: FloatArray = field(repr=False)
-    # push_kN, pull_kN: shape (m, n): mean residual, nan where there is no sample
-    push_kN: FloatArray = field(repr=False)
-    pull_kN: FloatArray = field(repr=False)
-
-
-def profile(
-    values: FloatArray, residual_kN: FloatArray, direction: IntArray, used: BoolArray, n_bins: int = N_BINS
-) -> Profile:
-    """Average the residual, kN, along the motion (+1 push, -1 pull) in even bins of a coordinate, shape (n,)."""
-    edges = edges_of(values[used], n_bins)
-    signed = residual_kN * direction
-    index = index_in(values, edges)
-    means = [bin_means(index, signed, used & (direction == sign), n_bins, FEWEST) for sign in (1, -1)]
-    return Profile(0.5 * (edges[:-1] + edges[1:]), means[0], means[1])
-
-
-def position_travel(channels: Channels, residual_kN: FloatArray) -> Map:
-    """Average the direction-signed residual over position and travel, about one row for each large cycle."""
-    used = channels.used
-    position, travel = channels.position_mm, channels.travel_m
-    across = edges_of(position[used], N_POSITION)
-    rows = travel_bins(channels)
-    along = edges_of(travel[used], rows)
-    cell = index_in(travel, along) * N_POSITION + index_in(position, across)
-    parts = [
-        bin_means(cell, residual_kN * channels.direction, used & (channels.direction == sign), rows * N_POSITION)
+def signed_means(
+    channels: Channels, residual_kN: FloatArray, bins: Mapping[str, int], fewest: int = FEWEST
+) -> SignedMeans:
+    """Average a residual along the motion in even bins, so many of each coordinate."""
+    used, direction, shape = channels.used, channels.direction, tuple(bins.values())
+    values = [getattr(channels, name) for name in bins]
+    edges = [edges_of(value[used], n) for value, n in zip(values, shape, strict=True)]
+    cell = np.ravel_multi_index([index_in(v, e) for v, e in zip(values, edges, strict=True)], shape)
+    push, pull = (
+        bin_means(cell, residual_kN * direction, used & (direction == sign), math.prod(shape), fewest).reshape(shape)
         for sign in (1, -1)
-    ]
-    return Map(across, along, parts[0].reshape(rows, N_POSITION), parts[1].reshape(rows, N_POSITION))
+    )
+    return SignedMeans(tuple(edges), push, pull)
 
 
 def travel_bins(channels: Channels) -> int:

@@ -13,13 +13,12 @@ from shj_bayes.report import diagnosis_words as say
 from shj_bayes.report.browse import diagnosis_viewer, thinning_words
 from shj_bayes.report.diagnosis_numbers import (
     N_BINS,
+    N_POSITION,
     DiagnosisData,
-    Map,
-    Profile,
-    position_travel,
-    profile,
+    SignedMeans,
     read_diagnosis,
     shown_cycle,
+    signed_means,
     travel_bins,
 )
 from shj_bayes.report.figures.canvas import (
@@ -110,9 +109,8 @@ def _loops(data: DiagnosisData) -> list[dict[str, Any]]:
 
 def _profile(data: DiagnosisData, name: str, title: str, axis: str) -> dict[str, Any]:
     c = data.channels
-    values = getattr(c, name)
-    bins = travel_bins(c) if name == "travel_m" else N_BINS
-    sides = [profile(values, r, c.direction, c.used, bins) for r in c.residuals]
+    bins = {name: travel_bins(c) if name == "travel_m" else N_BINS}
+    sides = [signed_means(c, r, bins) for r in c.residuals]
     parts = [("before", sides[0]), ("after", sides[1])] if c.changed else [("", sides[0])]
     largest = [float(np.nanmax(np.abs([p.push_kN, p.pull_kN]), initial=0.0)) for p in sides]
     address = profiles(parts, axis, data.capacity_kN, data.force)
@@ -121,7 +119,8 @@ def _profile(data: DiagnosisData, name: str, title: str, axis: str) -> dict[str,
 
 def _map(data: DiagnosisData) -> str:
     c = data.channels
-    before, after = (position_travel(c, r) for r in c.residuals)
+    bins = {"travel_m": travel_bins(c), "position_mm": N_POSITION}
+    before, after = (signed_means(c, r, bins, fewest=1) for r in c.residuals)
     return maps([("before", before), ("after", after)] if c.changed else [("", before)], data.force)
 
 
@@ -187,15 +186,16 @@ def loop(x: FloatArray, measured: FloatArray, before: FloatArray, after: FloatAr
     return svg(figure)
 
 
-def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float, unit: ForceUnit) -> str:
+def profiles(parts: Sequence[tuple[str, SignedMeans]], axis: str, capacity_kN: float, unit: ForceUnit) -> str:
     """Mean direction-signed residual over one coordinate, panels side by side on the same axes."""
     figure = Figure(WIDE if len(parts) > 1 else NARROW, 209, columns=len(parts), right=54)
     reach = 1.12 * max(_reach(p.push_kN, p.pull_kN) for _, p in parts)
     for axes, (title, p) in zip(figure.axes, parts, strict=True):
+        centre = 0.5 * (p.edges[0][:-1] + p.edges[0][1:])
         axes.across(0)
         for mean, colour, style, name in ((p.push_kN, BLUE, "o-", "push"), (p.pull_kN, RED, "s-", "pull")):
             seen = np.isfinite(mean)
-            axes.plot(p.centre[seen], mean[seen], style, color=colour, size=3.8, linewidth=1.2, label=name)
+            axes.plot(centre[seen], mean[seen], style, color=colour, size=3.8, linewidth=1.2, label=name)
         axes.y_range, axes.title = (-reach, reach), title
         label(axes, axis, "left over (kN)", unit)
         legend(axes, 2)
@@ -204,7 +204,7 @@ def profiles(parts: Sequence[tuple[str, Profile]], axis: str, capacity_kN: float
     return svg(figure)
 
 
-def maps(parts: Sequence[tuple[str, Map]], unit: ForceUnit) -> str:
+def maps(parts: Sequence[tuple[str, SignedMeans]], unit: ForceUnit) -> str:
     """Mean direction-signed residual over position and travel; push and pull of each part, one colour scale."""
     figure = Figure(WIDE, 259, columns=2 * len(parts), top=22, right=90)
     sides = [
@@ -212,8 +212,9 @@ def maps(parts: Sequence[tuple[str, Map]], unit: ForceUnit) -> str:
     ]
     reach = float(np.nanquantile(np.abs(np.concatenate([values for *_, values in sides], axis=None)), 0.99)) or 1.0
     for axes, (title, m, side, values) in zip(figure.axes, sides, strict=True):
-        axes.mesh(m.position_mm, m.travel_m, values, reach)
-        axes.x_range, axes.y_range = (m.position_mm[0], m.position_mm[-1]), (m.travel_m[0], m.travel_m[-1])
+        travel, position = m.edges
+        axes.mesh(position, travel, values, reach)
+        axes.x_range, axes.y_range = (position[0], position[-1]), (travel[0], travel[-1])
         axes.title, axes.grid = f"{title}, {side}" if title else side, False
         label(axes, "position (mm)", "travel (m)")
     _side_by_side(figure.axes)
