@@ -13,7 +13,6 @@ from shj_bayes.recording.recording import Extra, Finding, FloatArray
 from shj_bayes.recording.tables import (
     Column,
     Table,
-    Value,
     beside,
     clock_of,
     described,
@@ -94,9 +93,9 @@ def choose(
     if own is not None and apart:
         axis_s = _laid(values, own, table.name, findings)
     if timed and axis_s is not None:
-        told = all(column.clock_told for value in values.values() for column in value.columns)
+        told = all(column.clock_told for value in values.values() for column in value.made_of)
         chosen["time"] = "times of the channels"
-        values["time"] = Value.of(Column("time", axis_s, "s" if told else None))
+        values["time"] = Column("time", axis_s, "s" if told else None)
         given = {role: unit for role, unit in given.items() if role != "time" or not told}
     n = _length(values, table)
     used: dict[str, str] = {}
@@ -183,19 +182,19 @@ def _own_times(table: Table, asked: dict[str, str]) -> tuple[FloatArray, FloatAr
     clocks = []
     for role in ("displacement", "force"):
         header = None if role in asked else by_header(table, role, [])
-        columns = evaluate(asked[role], table).columns if role in asked else (header,) if header else ()
+        columns = evaluate(asked[role], table).made_of if role in asked else (header,) if header else ()
         clocks.append(clock_of(columns))
     return None if clocks[0] is None or clocks[1] is None else (clocks[0], clocks[1])
 
 
 def _laid(
-    values: dict[Role, Value], own: tuple[FloatArray, FloatArray], name: str, findings: list[Finding]
+    values: dict[Role, Column], own: tuple[FloatArray, FloatArray], name: str, findings: list[Finding]
 ) -> FloatArray:
     """Put displacement and force on one axis, in place; give its times, s."""
     x, f = values["displacement"], values["force"]
     axis_s = one_axis(own[0], own[1], name)
-    values["displacement"] = x._replace(values=np.interp(axis_s, own[0], x.values))
-    values["force"] = f._replace(values=f.values[np.searchsorted(own[1], axis_s)])
+    values["displacement"] = replace(x, values=np.interp(axis_s, own[0], x.values), parts=x.made_of)
+    values["force"] = replace(f, values=f.values[np.searchsorted(own[1], axis_s)], parts=f.made_of)
     step = usual_step(axis_s)
     both = bool(
         np.all(np.min(np.abs(axis_s[:, None] - own[0][beside(own[0], axis_s)]), axis=1) < limits.SAME_INSTANT * step)
@@ -212,24 +211,24 @@ def _laid(
 
 def _columns(
     table: Table, roles: Sequence[Role], asked: dict[str, str], findings: list[Finding]
-) -> tuple[dict[Role, Value], dict[str, str]]:
+) -> tuple[dict[Role, Column], dict[str, str]]:
     """Values of the channels, and what each was read from: by option, else by header."""
-    values: dict[Role, Value] = {}
+    values: dict[Role, Column] = {}
     chosen: dict[str, str] = {}
     for role in roles:
         if role in asked:
             values[role], chosen[role] = evaluate(asked[role], table), asked[role]
         elif column := by_header(table, role, findings):
-            values[role], chosen[role] = Value.of(column), column.label
+            values[role], chosen[role] = column, column.label
         else:
             values[role], chosen[role] = _no(table, role, asked), ""
         findings += _text_in(role, values[role])
     return values, chosen
 
 
-def _text_in(role: Role, value: Value) -> Iterator[Finding]:
+def _text_in(role: Role, value: Column) -> Iterator[Finding]:
     """Refuse a channel of which more cells hold text than may be left out."""
-    for column in value.columns:
+    for column in value.made_of:
         n_rows = column.values.size
         if column.n_words > limits.BAD_CELL_SHARE * n_rows:
             message = (
@@ -239,12 +238,12 @@ def _text_in(role: Role, value: Value) -> Iterator[Finding]:
             yield Finding("text-cells", "unusable", message, column.n_words)
 
 
-def _extra(name: str, value: Value, axis_s: FloatArray | None, n: int, table: Table) -> Extra:
+def _extra(name: str, value: Column, axis_s: FloatArray | None, n: int, table: Table) -> Extra:
     """Take a further channel; a force, such as a bolt tension, in kN, anything else in the unit of its header."""
-    clock = None if axis_s is None else clock_of(value.columns)
+    clock = None if axis_s is None else clock_of(value.made_of)
     if axis_s is not None and clock is not None and clock.size == value.values.size and not same_clock(clock, axis_s):
         at = np.interp(axis_s, clock, value.values, left=np.nan, right=np.nan)  # its times are its own
-        value = value._replace(values=at)
+        value = replace(value, values=at)
     if value.values.size != n or not value.values.ndim:
         raise RecordingError(f"{table.name}: {name} has {value.values.size} rows, the force {n}; choose another column")
     unit = value.unit or ""
@@ -314,10 +313,10 @@ def _words(name: str) -> str:
     return " ".join(re.split(r"[\s_\-./]+", name.strip().lower())).strip()
 
 
-def _no(table: Table, role: Role, asked: dict[str, str]) -> Value:
+def _no(table: Table, role: Role, asked: dict[str, str]) -> Column:
     """Refuse a file in which a channel cannot be found; say what would name all that are missing at once."""
     if role == "time" and "wf_increment" in table.scalars:
-        return Value(np.asarray(table.scalars["wf_increment"]))
+        return Column("", np.asarray(table.scalars["wf_increment"]))
     missing = f"no {role} column{'' if table.has_header else ' and no header'}"
     step = ", or name the single number that is the interval" if table.scalars else ""
     rate = f"; if it was sampled at a constant rate, give it with --rate HZ{step}" if role == "time" else ""
@@ -360,7 +359,7 @@ def _rate_agrees(
             )
 
 
-def _length(values: dict[Role, Value], table: Table) -> int:
+def _length(values: dict[Role, Column], table: Table) -> int:
     """Give the common number of rows; only time may be a single number (the sampling interval)."""
     sizes = {role: value.values.size for role, value in values.items() if value.values.ndim}
     for role in ("displacement", "force"):
@@ -388,7 +387,7 @@ def _steps(scaled: FloatArray, n: int, name: str, findings: list[Finding]) -> Fl
     return np.asarray(np.arange(n) * step, dtype=np.float64)
 
 
-def _unit(role: Role, value: Value, given: dict[Role, str], findings: list[Finding], missing: str) -> str:
+def _unit(role: Role, value: Column, given: dict[Role, str], findings: list[Finding], missing: str) -> str:
     """Take the unit by option, else by header, else the tool's own, which is said aloud: `missing` begins the words."""
     header = value.unit
     if role in given:
@@ -413,9 +412,9 @@ def _factor(unit: str, role: Role, column: str, table: Table) -> float:
         raise RecordingError(f"{table.name}, column {column!r}: {error}") from error
 
 
-def _run_column(table: Table, values: dict[Role, Value]) -> tuple[Column | None, tuple[int, ...]]:
+def _run_column(table: Table, values: dict[Role, Column]) -> tuple[Column | None, tuple[int, ...]]:
     """Column that numbers the runs, and the rows at which its number changes; None where no column does."""
-    used = {id(column) for value in values.values() for column in value.columns}
+    used = {id(column) for value in values.values() for column in value.made_of}
     for column in table.columns:
         if _words(column.name) not in _RUN or id(column) in used:
             continue
@@ -429,10 +428,10 @@ def _run_column(table: Table, values: dict[Role, Value]) -> tuple[Column | None,
     return None, ()
 
 
-def _note_ignored(table: Table, values: Sequence[Value], run: Column | None, findings: list[Finding]) -> None:
+def _note_ignored(table: Table, values: Sequence[Column], run: Column | None, findings: list[Finding]) -> None:
     """List the columns that were not used."""
-    used = {id(column) for value in values for column in value.columns} | {id(run)}
-    clocks = {id(column.clock_s) for value in values for column in value.columns if column.clock_s is not None}
+    used = {id(column) for value in values for column in value.made_of} | {id(run)}
+    clocks = {id(column.clock_s) for value in values for column in value.made_of if column.clock_s is not None}
     others = [c for c in table.columns if id(c) not in used and id(c.values) not in clocks]
     rest = [(c.header if table.has_header else "") or c.name for c in others]
     if rest:

@@ -174,35 +174,32 @@ def least_return(values: FloatArray, noise: float) -> float:
     return max(limits.REVERSAL_NOISE * noise, limits.REVERSAL_RANGE * float(np.ptp(values)))
 
 
+_AHEAD, _FAR_AHEAD = 64, 16_384  # samples looked at in one piece, behind a reversal and where none comes
+
+
 def hysteresis(values: FloatArray, threshold: float) -> list[int]:
     """Find reversals: inner samples that are extremes from which a signal came back by more than a threshold.
 
     Smaller movements back and forth, in the signal's unit, are no reversal.
     """
-    step = np.sign(np.diff(values))
-    moving = np.flatnonzero(step)
-    if moving.size == 0:
-        return []
-    change = np.flatnonzero(np.diff(step[moving]))
-    candidates = np.concatenate([[0], moving[change] + 1, [values.size - 1]])
     found: list[int] = []
-    low = high = int(candidates[0])
-    direction = 0
-    for index, value in zip(candidates.tolist(), values[candidates].tolist(), strict=True):
-        if value > values[high]:
-            high = index
-        if value < values[low]:
-            low = index
-        if direction >= 0 and values[high] - value > threshold:
-            if direction > 0:
-                found.append(high)
-            direction, low = -1, index
-            high = index
-        elif direction <= 0 and value - values[low] > threshold:
-            if direction < 0:
-                found.append(low)
-            direction, high = 1, index
-            low = index
+    at = low = high = way = 0
+    ahead = _AHEAD
+    while at < values.size:
+        piece = values[at : at + ahead]
+        top = np.maximum.accumulate(piece).clip(min=values[high])
+        bottom = np.minimum.accumulate(piece).clip(max=values[low])
+        fell = (top - piece > threshold) & (way >= 0)
+        turned = np.flatnonzero(fell | (piece - bottom > threshold) & (way <= 0))[:1].tolist()
+        end = turned[0] + 1 if turned else piece.size
+        high = at + int(np.argmax(piece[:end])) if top[end - 1] > values[high] else high
+        low = at + int(np.argmin(piece[:end])) if bottom[end - 1] < values[low] else low
+        at, ahead = at + end, min(2 * ahead, _FAR_AHEAD)
+        if turned:
+            found += [high if way > 0 else low] if way else []
+            way = -1 if fell[end - 1] else 1
+            low = high = at - 1
+            ahead = _AHEAD
     return found
 
 
@@ -560,7 +557,9 @@ def _unsure(
             abs(along[after]) / (time[after] - moment + step), abs(along[before]) / (moment - time[before] + step)
         )
         spread = limits.UNSURE_SD * float(velocity_sd[i]) / max(rise, 1e-12)
-        out |= np.abs(time - moment) <= min(max(spread, step), reach * step)
+        width = min(max(spread, step), reach * step)
+        near = slice(*np.searchsorted(time, [moment - 2 * width, moment + 2 * width]).tolist())
+        out[near] |= np.abs(time[near] - moment) <= width
     return out
 
 

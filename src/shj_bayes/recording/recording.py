@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from html import escape
 from itertools import pairwise
 from pathlib import Path
@@ -179,7 +180,7 @@ class Recording:
         """Number of samples."""
         return int(self.time_s.size)
 
-    @property
+    @cached_property
     def rate_Hz(self) -> float:
         """Sampling rate between the gaps, Hz."""
         steps = np.diff(self.time_s)
@@ -191,11 +192,11 @@ class Recording:
         """Time from the first to the last sample, s."""
         return float(self.time_s[-1] - self.time_s[0])
 
-    @property
+    @cached_property
     def restarts(self) -> BoolArray:
         """True where a sample follows a gap in time (and at the first): correlated noise starts afresh there."""
         steps = np.diff(self.time_s)
-        return np.concatenate([[True], steps > GAP_STEPS * np.median(steps)])
+        return frozen(np.concatenate([[True], steps > GAP_STEPS * np.median(steps)]), np.bool_)
 
     @property
     def usable(self) -> bool:

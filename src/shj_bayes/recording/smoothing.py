@@ -1,5 +1,7 @@
 """Displacement and velocity by a local polynomial whose window follows from the noise and that stops at corners."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
@@ -67,15 +69,16 @@ def _powers(window: int, degree: int) -> tuple[FloatArray, FloatArray]:
 def hermite(knots: FloatArray, values: FloatArray, slopes: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Value and slope, shape (m,), of the cubics that have the values and slopes at increasing knots, shape (n,).
 
-    Beyond the ends the last cubic goes on.
+    The places increase as well; beyond the ends the last cubic goes on.
     """
-    k = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, knots.size - 2)
-    width = (knots[1:] - knots[:-1])[k]
-    u = (at - knots[k]) / width
-    rise, first, last = values[k + 1] - values[k], width * slopes[k], width * slopes[k + 1]
+    k = np.repeat(np.arange(knots.size - 1), np.diff([0, *np.searchsorted(at, knots[1:-1]).tolist(), at.size]))
+    width = np.diff(knots)
+    rise, first, last = np.diff(values), width * slopes[:-1], width * slopes[1:]
     bend, twist = 3 * rise - 2 * first - last, first + last - 2 * rise
+    u = (at - knots[k]) / width[k]
+    first, bend, twist = first[k], bend[k], twist[k]
     value = values[k] + u * (first + u * (bend + u * twist))
-    return np.asarray(value), np.asarray((first + u * (2 * bend + u * 3 * twist)) / width)
+    return np.asarray(value), np.asarray((first + u * (2 * bend + u * 3 * twist)) / width[k])
 
 
 NARROWEST = 3.5  # the window that suits every half-cycle over the narrowest, which follows changes within one
@@ -84,13 +87,35 @@ MAX_CELLS = 20_000_000  # of a grid: a time axis with absurd gaps is no reason t
 _CUBIC, _QUINTIC = 3, 5
 
 
-class Grid(NamedTuple):
-    """Evenly spaced version of the samples, on which the filters work."""
+class Samples(NamedTuple):
+    """A measured displacement with strictly increasing times, shape (n_samples,), or its means on an even grid."""
 
-    time: FloatArray  # shape (n_grid,): s
-    values: FloatArray  # shape (n_grid,): mean of the samples of each cell, moved to the cell's centre
-    step: float  # s
-    noise: float  # standard deviation of the noise of ``values``
+    time_s: FloatArray
+    values: FloatArray
+    noise: float  # standard deviation of the noise of one value
+    step: float  # usual sampling interval, s
+
+    def grid(self, half_s: float) -> Samples:
+        """Average samples that a window of this half-width (s) need not tell apart."""
+        least = float(np.ptp(self.time_s)) / MAX_CELLS
+        return self.averaged(max(self.step, half_s / MAX_HALF_WIDTH, least))
+
+    def averaged(self, step: float) -> Samples:
+        """Average samples, even or not, in cells of `step` s and place the means on an even grid."""
+        time_s, values = self.time_s, self.values
+        n = int(np.floor((time_s[-1] - time_s[0]) / step + 1e-6)) + 1
+        centres = time_s[0] + step * np.arange(n)
+        if n == time_s.size and np.allclose(time_s, centres, rtol=0.0, atol=0.02 * step):
+            return Samples(centres, values, self.noise, step)
+        since = time_s - time_s[0]
+        cell = np.clip(np.rint(since / step).astype(np.int64), 0, n - 1)
+        count = np.bincount(cell, minlength=n)
+        filled = count > 0
+        mean_time = np.bincount(cell, since, n)[filled] / count[filled] + time_s[0]
+        mean_value = np.bincount(cell, values, n)[filled] / count[filled]
+        # Times first, values second: interpolating between means keeps a straight line straight whatever the jitter.
+        noise = self.noise / np.sqrt(max(1.0, time_s.size / n))
+        return Samples(centres, np.interp(centres, mean_time, mean_value), noise, step)
 
 
 class Smooth(NamedTuple):
@@ -105,35 +130,6 @@ class Smooth(NamedTuple):
     # frequency at which the velocity has lost 3 dB, for the widest and the narrowest window
     bandwidth_Hz: tuple[float, float]
     kinks_s: FloatArray  # times of corners, starts and stops at which the windows end, s
-
-
-def grid_of(time_s: FloatArray, values: FloatArray, noise: float, step: float) -> Grid:
-    """Average samples, even or not, in cells of `step` s and place the means on an even grid."""
-    n = int(np.floor((time_s[-1] - time_s[0]) / step + 1e-6)) + 1
-    centres = time_s[0] + step * np.arange(n)
-    if n == time_s.size and np.allclose(time_s, centres, rtol=0.0, atol=0.02 * step):
-        return Grid(centres, values, step, noise)
-    cell = np.clip(np.rint((time_s - time_s[0]) / step).astype(np.int64), 0, n - 1)
-    count = np.bincount(cell, minlength=n)
-    filled = count > 0
-    mean_time = np.bincount(cell, time_s - time_s[0], n)[filled] / count[filled] + time_s[0]
-    mean_value = np.bincount(cell, values, n)[filled] / count[filled]
-    # Times first, values second: interpolating between means keeps a straight line straight whatever the jitter.
-    return Grid(centres, np.interp(centres, mean_time, mean_value), step, noise / np.sqrt(max(1.0, time_s.size / n)))
-
-
-class Samples(NamedTuple):
-    """A measured displacement with strictly increasing times, shape (n_samples,)."""
-
-    time_s: FloatArray
-    values: FloatArray
-    noise: float  # standard deviation of the noise of one sample
-    step: float  # usual sampling interval, s
-
-    def grid(self, half_s: float) -> Grid:
-        """Average samples that a window of this half-width (s) need not tell apart."""
-        least = float(np.ptp(self.time_s)) / MAX_CELLS
-        return grid_of(self.time_s, self.values, self.noise, max(self.step, half_s / MAX_HALF_WIDTH, least))
 
 
 def smooth(time_s: FloatArray, values: FloatArray, noise: float, resolution: float, turns: list[int]) -> Smooth:
@@ -151,7 +147,7 @@ def smooth(time_s: FloatArray, values: FloatArray, noise: float, resolution: flo
     half_s = choose_half_width(samples, allowed, edges)
     grid = samples.grid(half_s)
     half = max(2, round(half_s / grid.step))
-    kinks_s = grid.time[find_kinks(grid, half, allowed, resolution)]
+    kinks_s = grid.time_s[find_kinks(grid, half, allowed, resolution)]
     long = np.flatnonzero(np.diff(time_s) > max(GAP_STEPS * samples.step, grid.step))
     stops = np.sort(np.concatenate([kinks_s, time_s[long], time_s[long + 1]]))
     widths = widen(samples, max(BIAS_SHARE * noise, resolution / float(np.sqrt(12.0))), edges, half_s, stops)
@@ -212,8 +208,8 @@ def _curve(samples: Samples, half_s: float, stops: FloatArray) -> tuple[FloatArr
     """Position, velocity and their standard deviations with one window (half of it, s), by segment."""
     grid = samples.grid(half_s)
     half = max(2, round(half_s / grid.step))
-    inner = np.rint((stops - grid.time[0]) / grid.step).astype(np.int64)
-    breaks = np.unique(np.clip(np.concatenate([[0], inner, [grid.time.size - 1]]), 0, grid.time.size - 1))
+    inner = np.rint((stops - grid.time_s[0]) / grid.step).astype(np.int64)
+    breaks = np.unique(np.clip(np.concatenate([[0], inner, [grid.time_s.size - 1]]), 0, grid.time_s.size - 1))
     position, velocity = _by_segment(samples.time_s, grid, half, breaks)
     kernels = [weights(2 * half + 1, _degree(2 * half + 1), k, grid.step) for k in (0, 1)]
     sd_position, sd_velocity = (float(grid.noise * np.sqrt(np.sum(kernel**2))) for kernel in kernels)
@@ -272,11 +268,11 @@ def choose_half_width(samples: Samples, allowed: float, edges: FloatArray) -> fl
     return accepted
 
 
-def _changes(grid: Grid, edges: FloatArray, widths: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+def _changes(grid: Samples, edges: FloatArray, widths: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """Typical change of each half-cycle from the narrower to the wider window, and what white noise would give."""
     m_narrow, m_wide = (max(2, round(width / grid.step)) for width in widths)
     change, expected = np.full(edges.size - 1, np.nan), np.zeros(edges.size - 1)
-    if m_narrow == m_wide or grid.time.size <= 2 * m_wide + 1:
+    if m_narrow == m_wide or grid.time_s.size <= 2 * m_wide + 1:
         return change, expected
     kernel = weights(2 * m_wide + 1, _CUBIC).copy()
     kernel[m_wide - m_narrow : m_wide + m_narrow + 1] -= weights(2 * m_narrow + 1, _CUBIC)
@@ -284,7 +280,7 @@ def _changes(grid: Grid, edges: FloatArray, widths: tuple[float, float]) -> tupl
     noise = grid.noise * float(np.sqrt(np.sum(kernel**2)))
     margin = max(1.5 * widths[1], 2 * grid.step)
     for k, (begin, end) in enumerate(pairwise(edges)):
-        lo, hi = np.searchsorted(grid.time, [max(begin, grid.time[0]) + margin, min(end, grid.time[-1]) - margin])
+        lo, hi = np.searchsorted(grid.time_s, [max(begin, grid.time_s[0]) + margin, min(end, grid.time_s[-1]) - margin])
         if hi - lo >= 3:
             independent = max(1.0, (hi - lo) / m_wide)
             change[k] = float(np.median(moved[lo:hi])) / 0.6745
@@ -293,7 +289,7 @@ def _changes(grid: Grid, edges: FloatArray, widths: tuple[float, float]) -> tupl
 
 
 def find_kinks(
-    grid: Grid, half: int, allowed: float, resolution: float = 0.0
+    grid: Samples, half: int, allowed: float, resolution: float = 0.0
 ) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Places on the grid where the slope jumps: corners of a triangle, starts and stops.
 
@@ -301,7 +297,7 @@ def find_kinks(
     noise there is a corner. Corners that smoothing would round by less than `allowed` are left to it; what rounding to
     encoder steps (`resolution`) can do alone is no corner, even where counts lie evenly about a top.
     """
-    if half < 4 or grid.time.size < 4 * half:
+    if half < 4 or grid.time_s.size < 4 * half:
         return np.zeros(0, dtype=np.int64)
     u = np.arange(-half, half + 1) / half
     # A quintic beside |u|, so that a smooth peak is no corner; odd powers are orthogonal to |u| already.
@@ -326,10 +322,10 @@ def find_kinks(
     return np.array(sorted(found), dtype=np.int64) + half
 
 
-def _by_segment(time_s: FloatArray, grid: Grid, half: int, breaks: np.ndarray) -> tuple[FloatArray, FloatArray]:
+def _by_segment(time_s: FloatArray, grid: Samples, half: int, breaks: np.ndarray) -> tuple[FloatArray, FloatArray]:
     """Fit every stretch between two breaks by itself and read position and velocity at the samples."""
     position, velocity = np.empty_like(time_s), np.empty_like(time_s)
-    edges = np.searchsorted(time_s, grid.time[breaks], side="left")
+    edges = np.searchsorted(time_s, grid.time_s[breaks], side="left")
     edges[0], edges[-1] = 0, time_s.size
     for k, (lo, hi) in enumerate(pairwise(breaks.tolist())):
         rows = slice(int(edges[k]), int(edges[k + 1]))
@@ -337,11 +333,11 @@ def _by_segment(time_s: FloatArray, grid: Grid, half: int, breaks: np.ndarray) -
             continue
         x, v = local_polynomial(grid.values[lo : hi + 1], half, grid.step)
         if rows.stop - rows.start == x.size and np.allclose(
-            time_s[rows], grid.time[lo : hi + 1], atol=1e-3 * grid.step
+            time_s[rows], grid.time_s[lo : hi + 1], atol=1e-3 * grid.step
         ):
             position[rows], velocity[rows] = x, v
             continue
-        position[rows], velocity[rows] = hermite(grid.time[lo : hi + 1], x, v, time_s[rows])
+        position[rows], velocity[rows] = hermite(grid.time_s[lo : hi + 1], x, v, time_s[rows])
     return position, velocity
 
 
@@ -424,14 +420,14 @@ def channel_of(extra: Extra, time_s: FloatArray, force_kN: FloatArray) -> Channe
         return Channel(extra.name, extra.unit, np.zeros(0), np.zeros(0), Refusal.GAPS, gap)
     time = since[known]
     step = max(float(np.median(np.diff(time))), since[-1] / CHANNEL_CELLS)
-    grid = grid_of(time, extra.values[known], 0.0, step)
+    grid = Samples(time, extra.values[known], 0.0, step).averaged(step)
     smoothed, left = _smoothed(grid.values)
-    found = Channel(extra.name, extra.unit, grid.time, smoothed)
+    found = Channel(extra.name, extra.unit, grid.time_s, smoothed)
     whole = float(np.var(smoothed))
     noise = min(left / whole, 1.0) if np.ptp(smoothed) > 1e-9 * np.abs(smoothed).max() else 1.0
     if noise > CHANNEL_NOISE:
         return replace(found, refused=Refusal.CONSTANT, share=noise)
-    shared = float(np.corrcoef(np.interp(since, grid.time, smoothed), force_kN)[0, 1]) ** 2
+    shared = float(np.corrcoef(np.interp(since, grid.time_s, smoothed), force_kN)[0, 1]) ** 2
     return replace(found, refused=Refusal.FOLLOWS_FORCE, share=shared) if shared > CHANNEL_FOLLOWS else found
 
 

@@ -17,21 +17,28 @@ from shj_bayes.recording.units import multiplier
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One column of a file."""
+    """A column, matrix or single number of a file, or what a formula makes of them."""
 
     name: str  # name in the file, without the unit where the unit could be told apart; ``"#3"`` without a header
-    values: FloatArray  # shape (n_rows,): numbers; NaN where the cell was empty or held no number
+    # numbers, shape (n_rows,), NaN where the cell was empty or held no number; () of a single number; empty for none
+    values: FloatArray
     unit: str | None = None  # unit as written in the file
     header: str = ""  # header as written, name and unit together
     n_words: int = 0  # cells that hold text and no number
     group: str = ""  # group, struct or the like of the file that holds it
     clock_s: FloatArray | None = None  # times of its values where it has its own, shape (n_rows,), s
     clock_told: bool = True  # whether the file says that these are seconds
+    parts: tuple["Column", ...] = ()  # columns that it was made of
 
     @property
     def label(self) -> str:
         """What the file calls it."""
         return self.header or self.name
+
+    @property
+    def made_of(self) -> tuple["Column", ...]:
+        """Columns of the file in it: itself, or those of a formula."""
+        return self.parts or ((self,) if self.values.ndim else ())
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,25 +118,7 @@ _HELP = (
 )
 
 
-class Value(NamedTuple):
-    """A formula's value: a column, or a single number when ``values`` has no dimension."""
-
-    values: FloatArray  # numbers, shape (n_rows,) or ()
-    columns: tuple[Column, ...] = ()  # columns it was made of; a plain column is one column unchanged
-    plain: bool = False  # whether it is one column as it stands, so that the header's unit holds for it
-
-    @classmethod
-    def of(cls, column: Column) -> "Value":
-        """Take a column as it stands."""
-        return cls(column.values, (column,), plain=True)
-
-    @property
-    def unit(self) -> str | None:
-        """Unit that the file states."""
-        return self.columns[0].unit if self.plain else None
-
-
-def evaluate(text: str, table: Table) -> Value:
+def evaluate(text: str, table: Table) -> Column:
     """Value of a column name, a 1-based column number, or a formula of them and of single numbers.
 
     Python's parser reads ``#7 - 49.087*#6`` once names and numbers stand aside; of its tree nothing but + - * and / is
@@ -141,11 +130,11 @@ def evaluate(text: str, table: Table) -> Value:
     if len(text) > _MAX_LENGTH:  # before int(), which refuses thousands of digits in words of its own
         raise RecordingError(f"--columns: a formula of {len(text)} characters; allowed are {_MAX_LENGTH}")
     if re.fullmatch(r"#?\d+", text):
-        return Value.of(_numbered(int(text.lstrip("#")), table))
+        return _numbered(int(text.lstrip("#")), table)
     exact = _named(text.strip("\"'"), table)
     if exact is not None:
         return exact
-    operands: list[Value] = []
+    operands: list[Column] = []
 
     def aside(match: re.Match[str]) -> str:
         operands.append(_operand(match, text, table))
@@ -170,7 +159,7 @@ def _numbered(index: int, table: Table) -> Column:
     return table.columns[index - 1]
 
 
-def _named(name: str, table: Table) -> Value | None:
+def _named(name: str, table: Table) -> Column | None:
     """Column or single number by its name as written, else by its name without the unit or the case."""
     lower = name.lower()
     for wanted, keys in (
@@ -182,23 +171,21 @@ def _named(name: str, table: Table) -> Value | None:
     ):
         found = [column for column, key in zip(table.columns, keys, strict=True) if key == wanted]
         if len(found) == 1:
-            return Value.of(found[0])
+            return found[0]
         if len(found) > 1:
             raise RecordingError(
                 f"{table.name} has {len(found)} columns named {name!r}; choose one by its number: {table.summary}"
             )
-    if name in table.scalars:
-        return Value(np.asarray(table.scalars[name]))
-    return None
+    return Column(name, np.asarray(table.scalars[name])) if name in table.scalars else None
 
 
-def _operand(match: re.Match[str], text: str, table: Table) -> Value:
+def _operand(match: re.Match[str], text: str, table: Table) -> Column:
     """Look up a number, column or named single number."""
     kind, word = str(match.lastgroup), match[str(match.lastgroup)]
     if kind == "number":
-        return Value(np.asarray(float(word)))
+        return Column(word, np.asarray(float(word)))
     if kind == "index":
-        return Value.of(_numbered(int(word), table))
+        return _numbered(int(word), table)
     found = _named(word, table)
     if found is None:
         names = [column.name for column in table.columns]
@@ -209,13 +196,14 @@ def _operand(match: re.Match[str], text: str, table: Table) -> Value:
     return found
 
 
-def _value(node: ast.expr, operands: list[Value], text: str) -> Value:
-    """Value of a part of a formula, whose numbers are places in the list of operands."""
+def _value(node: ast.expr, operands: list[Column], text: str) -> Column:
+    """Value of a part of a formula, whose numbers are places in the list of operands; it has no unit."""
     if isinstance(node, ast.Constant) and isinstance(node.value, int):
-        return operands[node.value]._replace(plain=False)
+        operand = operands[node.value]
+        return Column("", operand.values, parts=operand.made_of)
     if isinstance(node, ast.UnaryOp):
         inner = _value(node.operand, operands, text)
-        return inner if isinstance(node.op, ast.UAdd) else inner._replace(values=np.asarray(-inner.values))
+        return inner if isinstance(node.op, ast.UAdd) else replace(inner, values=np.asarray(-inner.values))
     if not isinstance(node, ast.BinOp) or type(node.op) not in _SIGNS:
         raise RecordingError(f"--columns: cannot read {text!r}; {_HELP}")
     left, right = (_value(side, operands, text) for side in (node.left, node.right))
@@ -233,7 +221,7 @@ def _value(node: ast.expr, operands: list[Value], text: str) -> Value:
     elif isinstance(node.op, ast.Div) and float(right.values) == 0.0:
         raise RecordingError(f"--columns: {text!r} divides by zero")
     values = np.asarray(_SIGNS[type(node.op)](left.values, right.values), dtype=np.float64)
-    return Value(values, left.columns + right.columns)
+    return Column("", values, parts=left.made_of + right.made_of)
 
 
 _TIME = {"time", "t", "times", "timestamp", "elapsed time", "test time", "zeit"}

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.motion import Block, exact_motion, hysteresis, motion_of, table_1
 from shj_bayes.recording.recording import Recording, noise_of, resolution_of
-from shj_bayes.recording.smoothing import Grid, bandwidth, find_kinks, local_polynomial
+from shj_bayes.recording.smoothing import Samples, bandwidth, find_kinks, local_polynomial
 
 COUNT = 200.0 / 1024
 
@@ -295,7 +295,7 @@ def test_corners_in_a_long_recording_cost_no_more_than_its_length():
     The least of two runs, in processor time, so that a busy machine does not count.
     """
     n, half = 1_000_000, 10
-    grid = Grid(np.arange(n) * 1e-3, np.interp(np.arange(n) % 80, [0, 40, 80], [0.0, 1.0, 0.0]), 1e-3, 1e-4)
+    grid = Samples(np.arange(n) * 1e-3, np.interp(np.arange(n) % 80, [0, 40, 80], [0.0, 1.0, 0.0]), 1e-4, 1e-3)
     spent = []
     for _ in range(2):
         begin = time.process_time()

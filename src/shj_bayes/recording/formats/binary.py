@@ -10,11 +10,11 @@ import tempfile
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
 
@@ -33,25 +33,6 @@ _UNITS = ("units", "unit")
 Numbers = np.ndarray[Any, Any]
 
 
-@dataclass(frozen=True, eq=False)
-class Stated:
-    """Numbers with the unit that the file states beside them."""
-
-    values: Numbers
-    unit: str | None
-
-
-class Item(NamedTuple):
-    """One thing that a file holds."""
-
-    group: str  # what it lies in, with the marks of the file between the levels
-    name: str
-    unit: str | None = None
-    values: Numbers | None = None  # vector, matrix or single number; None for what is no numbers
-    times: Numbers | None = None  # times of the values, where they have their own
-    path: str = ""  # where the numbers themselves lie, if not under the name
-
-
 def shaped(values: Numbers) -> Numbers | None:
     """Vector, or matrix with the long side down; None for what is neither."""
     values = np.squeeze(values)
@@ -63,8 +44,10 @@ def shaped(values: Numbers) -> Numbers | None:
     return None
 
 
-def flat(node: dict[str, Any], mark: str, group: str = "") -> Iterator[Item]:
+def flat(node: dict[str, Any], mark: str, group: str = "") -> Iterator[Column]:
     """Channels and whatever else lies in a nest of dictionaries, lists, arrays and texts, in its order.
+
+    Vectors, matrices and single numbers as they are; what is no numbers has no values. `mark` stands between groups.
 
     A struct of values alone, or of values with their times, is one channel, with the name and unit that it states. A
     list of texts beside a matrix of as many columns names them.
@@ -75,45 +58,49 @@ def flat(node: dict[str, Any], mark: str, group: str = "") -> Iterator[Item]:
         if isinstance(value, dict):
             yield from _within(value, mark, group, key)
         elif isinstance(value, list):
-            if not any(value is texts for texts in (names, units)):
+            if value is not names and value is not units:
                 yield from _listed(value, mark, group, key, (names, units))
-        elif not isinstance(value, Stated):
-            yield Item(group, key)
-        elif value.values.ndim == 2 and value.values.shape[1] == len(names):
+        elif isinstance(value, Column) and value.values.ndim == 2 and value.values.shape[1] == len(names):
             yield from _titled(_below(group, mark, key), names, units, value.values.T)
         else:
-            yield Item(group, key, value.unit, value.values)
+            yield _named(value, key, group)
 
 
 def _below(group: str, mark: str, key: str) -> str:
     return f"{group}{mark}{key}" if group else key
 
 
-def _titled(group: str, names: list[str], units: list[str], columns: Iterable[Numbers]) -> Iterator[Item]:
+def _named(value: Any, name: str, group: str) -> Column:
+    """Numbers under their name, or the name of what is none."""
+    held = value if isinstance(value, Column) else Column("", np.empty(0))
+    return replace(held, name=name, group=group)
+
+
+def _titled(group: str, names: list[str], units: list[str], columns: Iterable[Numbers]) -> Iterator[Column]:
     """Columns with the names and units that stand in lists of texts."""
     for title, unit, column in zip(names, units or ("",) * len(names), columns, strict=True):
-        yield Item(group, title, unit or None, column)
+        yield Column(title, column, unit or None, group=group)
 
 
-def _listed(cells: list[Any], mark: str, group: str, key: str, titles: tuple[list[str], list[str]]) -> Iterator[Item]:
+def _listed(cells: list[Any], mark: str, group: str, key: str, titles: tuple[list[str], list[str]]) -> Iterator[Column]:
     """Elements of an array of structs, and cells."""
     inside = [_numbers(each) for each in cells]
-    if len(titles[0]) == len(inside) and all(isinstance(each, Stated) for each in inside):
+    if len(titles[0]) == len(inside) and all(isinstance(each, Column) for each in inside):
         yield from _titled(_below(group, mark, key), *titles, (each.values for each in inside))
-    elif not any(isinstance(each, dict | Stated) for each in inside):
-        yield Item(group, key)
+    elif not any(isinstance(each, dict | Column) for each in inside):
+        yield _named(None, key, group)
     else:
         for number, each in enumerate(inside, start=1):
             if isinstance(each, dict):
                 yield from _within(each, mark, group, f"{key}({number})")
             else:
-                yield Item(group, f"{key}{{{number}}}", None, each.values if isinstance(each, Stated) else None)
+                yield _named(each, f"{key}{{{number}}}", group)
 
 
-def _within(node: dict[str, Any], mark: str, group: str, key: str) -> Iterator[Item]:
+def _within(node: dict[str, Any], mark: str, group: str, key: str) -> Iterator[Column]:
     """Go into a struct, which is one channel or holds several things."""
     path = _below(group, mark, key)
-    vectors = {k: v for k, value in node.items() if isinstance(v := _numbers(value), Stated) and v.values.size > 1}
+    vectors = {k: v for k, value in node.items() if isinstance(v := _numbers(value), Column) and v.values.size > 1}
     data = [k for k in vectors if k.lower() in _VALUES]
     times = [k for k in vectors if k.lower() in _TIMES]
     if len(data) == 1 and len(times) == len(vectors) - 1 <= 1 and vectors[data[0]].values.ndim == 1:
@@ -123,13 +110,13 @@ def _within(node: dict[str, Any], mark: str, group: str, key: str) -> Iterator[I
             said = {k.lower(): v.strip() for k, v in node.items() if isinstance(v, str) and v.strip()}
             name = next((said[k] for k in _NAMES if k in said), key)
             unit = found.unit or next((said[k] for k in _UNITS if k in said), None)
-            yield Item(group, name, unit, found.values, clock, f"{path}{mark}{data[0]}")
+            yield Column(name, found.values, unit, f"{path}{mark}{data[0]}", group=group, clock_s=clock)
             return
     yield from flat(node, mark, path)
 
 
 def _numbers(value: Any) -> Any:
-    """Numbers as `Stated`, cells of numbers too; cells of anything else as a list; the rest as it is."""
+    """Numbers as a column, cells of numbers too; cells of anything else as a list; the rest as it is."""
     if isinstance(value, np.ndarray) and value.dtype.kind == "O":
         value = _cells(value)
     if isinstance(value, list) and value and all(_single(each) for each in value):
@@ -137,10 +124,10 @@ def _numbers(value: Any) -> Any:
     if isinstance(value, np.ndarray) and value.dtype.kind == "U":
         return [str(text).strip() for text in np.ravel(value)] if value.ndim else str(value)
     if _single(value) or (isinstance(value, np.ndarray) and value.dtype.kind in "fiub"):
-        value = Stated(np.asarray(value), None)
-    if isinstance(value, Stated):
+        value = Column("", np.asarray(value))
+    if isinstance(value, Column):
         plain = shaped(value.values)
-        return None if plain is None else Stated(plain, value.unit)
+        return None if plain is None else replace(value, values=plain)
     return value
 
 
@@ -171,25 +158,24 @@ def _titles(values: dict[str, Any]) -> tuple[list[str], list[str]]:
     return names[0], units[0] if len(units) == 1 else []
 
 
-def channels_of(items: Iterator[Item], mark: str) -> tuple[list[Column], dict[str, float], tuple[Finding, ...]]:
+def channels_of(items: Iterable[Column], mark: str) -> tuple[list[Column], dict[str, float], tuple[Finding, ...]]:
     """Columns for vectors and for each column of a matrix, single numbers, and what was left out."""
     columns, scalars, skipped = list[Column](), dict[str, float](), list[str]()
     for item in items:
-        path = item.path or _below(item.group, mark, item.name)
-        if item.values is None:
+        path = item.header or _below(item.group, mark, item.name)
+        if not item.values.size:
             skipped.append(path)
         elif item.values.size == 1:
             scalars[path] = float(item.values.ravel()[0])
         else:
             plain, own = split_header(item.name)
-            clock = None if item.times is None else as_floats(item.times)
-            unit = item.unit or own
-            if item.values.ndim == 1:
-                columns.append(Column(plain, as_floats(item.values), unit, path, 0, item.group, clock, clock is None))
-            else:
-                columns += (
-                    Column(f"{plain}[{i}]", as_floats(each), unit, f"{path}[{i}]", 0, item.group)
-                    for i, each in enumerate(item.values.T, start=1)
+            clock = None if item.clock_s is None else as_floats(item.clock_s)
+            each = item.values.T if item.values.ndim == 2 else [item.values]
+            for i, values in enumerate(each, start=1):
+                of = f"[{i}]" if item.values.ndim == 2 else ""
+                own_name, unit = f"{plain}{of}", item.unit or own
+                columns.append(
+                    Column(own_name, as_floats(values), unit, f"{path}{of}", 0, item.group, clock, clock is None)
                 )
     return columns, scalars, left_out(skipped)
 
@@ -199,7 +185,7 @@ _NUMERIC = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("",
 _NESTED = {"struct", "cell"}
 
 
-def apart(path: Path, mark: str) -> Iterator[Item]:
+def apart(path: Path, mark: str) -> Iterator[Column]:
     """Read a file in a process of its own, which a damaged file may end, and give what it holds.
 
     `mark` stands between the levels of its groups. About one damaged HDF5 file in a thousand ends its reader with a
@@ -226,9 +212,10 @@ def apart(path: Path, mark: str) -> Iterator[Item]:
             answer = json.loads(stream.readline())
             if "error" in answer:
                 raise RecordingError(answer["error"])
-            for group, name, unit, where, given in answer["items"]:
-                values, times = (np.load(stream, allow_pickle=False) if there else None for there in given)
-                yield Item(group, name, unit, values, times, where)
+            for name, unit, header, group, timed in answer["items"]:
+                values = np.load(stream, allow_pickle=False)
+                clock = np.load(stream, allow_pickle=False) if timed else None
+                yield Column(name, values, unit, header, group=group, clock_s=clock)
     except subprocess.TimeoutExpired as error:
         raise RecordingError(f"{broken} after {seconds} s; {advice}") from error
 
@@ -237,13 +224,13 @@ def child(path: str, mark: str, seconds: str) -> None:
     """Read a file and write what it holds to standard output: a line of names and units, then the arrays."""
     end_with_input()
     faulthandler.dump_traceback_later(int(seconds), exit=True)  # also where the library holds every other thread up
-    items: list[Item] = []
+    items: list[Column] = []
     try:
         read = from_hdf5 if is_hdf5(Path(path)) else loaded
         import_module("h5py" if read is from_hdf5 else "scipy.io")  # what is loaded is not counted against the bound
         bound_memory(limits.CHILD_BYTES)
         items = list(flat(read(Path(path)), mark))
-        heads = [(i.group, i.name, i.unit, i.path, (i.values is not None, i.times is not None)) for i in items]
+        heads = [(i.name, i.unit, i.header, i.group, i.clock_s is not None) for i in items]
         answer: dict[str, Any] = {"items": heads}
     except RecordingError as error:
         answer = {"error": str(error)}
@@ -253,7 +240,7 @@ def child(path: str, mark: str, seconds: str) -> None:
     out = sys.stdout.buffer
     out.write(json.dumps(answer).encode() + b"\n")
     for item in items:
-        for values in (item.values, item.times):
+        for values in (item.values, item.clock_s):
             if values is not None:
                 # In pieces, by way of something that is no file: a second copy of it all would be over the bound.
                 np.save(SimpleNamespace(write=out.write), values, allow_pickle=False)
@@ -336,7 +323,7 @@ class _Tree:
         if item.dtype.names:
             table = item[()]
             return {field: table[field] for field in item.dtype.names}
-        return Stated(item[()], _unit(item))
+        return Column("", item[()], _unit(item))
 
     def _followed(self, item: Any, depth: int) -> Any:
         """Cells, or elements of an array of structs, which lie elsewhere in the same file."""
@@ -349,7 +336,7 @@ class _Tree:
         for reference in np.ravel(item[()]):
             cell = self.file[reference] if reference else None
             one = self.group(cell, depth + 1) if isinstance(cell, self.h5py.Group) else self.dataset(cell, depth + 1)
-            read.append(one.values.ravel()[0] if isinstance(one, Stated) and one.values.size == 1 else one)
+            read.append(one.values.ravel()[0] if isinstance(one, Column) and one.values.size == 1 else one)
         if len(item.shape) == 2 and min(item.shape) > 1:
             table = np.empty(len(read), dtype=object)
             table[:] = read
@@ -414,7 +401,7 @@ def is_hdf5(path: Path) -> bool:
     return False
 
 
-def _from_mat(path: Path) -> Iterator[Item]:
+def _from_mat(path: Path) -> Iterator[Column]:
     """Variables of a MAT file up to v7; files with structs or cells in a process of their own (see `apart`)."""
     with path.open("rb") as stream:
         head = stream.read(128)

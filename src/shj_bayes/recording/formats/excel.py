@@ -175,8 +175,8 @@ def _looked_through(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str)
     return sheets
 
 
-def _lines(sheet: Any, book: str, left: list[int]) -> Iterator[str]:
-    """Rows of a sheet as lines of text, without the empty ones.
+def _lines(sheet: Any, book: str, left: list[int]) -> Iterator[list[str]]:
+    """Rows of a sheet as lines of text, without the empty ones, each a block of its own.
 
     `left` counts the cells down that the sheets of the book may still have. A sheet can claim a cell in its
     last row; openpyxl then hands out one and the same empty row a million times.
@@ -191,7 +191,7 @@ def _lines(sheet: Any, book: str, left: list[int]) -> Iterator[str]:
             raise RecordingError(f"{book}: more than {limits.MAX_TABLE_CELLS} cells; save the recording alone, as CSV")
         filled = [i for i, cell in enumerate(row) if cell is not None]
         if filled:
-            yield "\t".join(_cell(cell) for cell in row[: filled[-1] + 1])
+            yield ["\t".join(_cell(cell) for cell in row[: filled[-1] + 1])]
 
 
 def _cell(value: object) -> str:

@@ -10,7 +10,7 @@ import re
 import zlib
 from array import array
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, islice, pairwise
 from pathlib import Path
@@ -28,6 +28,7 @@ from shj_bayes.recording.tables import Column, Format, Table, bounded_columns, s
 # hyphens, dashes and minus signs before a number or in its exponent; marks without width
 _MINUS = re.compile("(?:(?<!\\w)|(?<=[0-9][eEdD]))[\u2010-\u2015\u2212\ufe58\ufe63\uff0d](?=[.,]?[0-9])")
 _INVISIBLE = dict.fromkeys((0xFEFF, 0x200B, 0x200C, 0x200D, 0x200E, 0x200F, 0x2060))
+_NO_ROW = {"", "#", "%"}  # how lines begin that are no rows
 _HEAD = 4096  # bytes in which the zeros of UTF-16 are looked for
 
 
@@ -39,12 +40,14 @@ def read_text(path: Path, sha256: str) -> Table:
     return table_from_lines(_lines(path, encoding), path.name, sha256, "csv", tuple(notes))
 
 
-def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, notes: tuple[Finding, ...] = ()) -> Table:
-    """Find header and numbers in lines of text; empty ones mean nothing, and ``#`` or ``%`` begins a comment.
+def table_from_lines(
+    blocks: Iterable[Sequence[str]], name: str, sha256: str, kind: str, notes: tuple[Finding, ...] = ()
+) -> Table:
+    """Find header and numbers in blocks of lines of text; empty ones mean nothing, and ``#`` or ``%`` begins a comment.
 
     `kind` is the format of the table, `notes` what was met before.
     """
-    text = _Lines(lines, name)
+    text = _Lines(blocks, name)
     stream = iter(text)
     first = list(islice(stream, 2 * LOOK))
     dialect = find_dialect(first, name)
@@ -71,29 +74,35 @@ def table_from_lines(lines: Iterable[str], name: str, sha256: str, kind: str, no
 
 
 class _Lines:
-    """Lines that may be rows; the first comments go into a list."""
+    """Lines that may be rows, out of blocks of lines; the first comments go into a list."""
 
-    def __init__(self, lines: Iterable[str], name: str) -> None:
-        self.lines, self.name = lines, name
+    def __init__(self, blocks: Iterable[Sequence[str]], name: str) -> None:
+        self.blocks, self.name = blocks, name
         self.comments: list[str] = []
+        self.n_rows = 0
         self.passed = array("q")  # how many rows came before each line that is none
 
     def __iter__(self) -> Iterator[str]:
         """Give the rows, in the signs of typewriters."""
-        n_rows = 0
-        for line in self.lines:
-            if line[:1].isdigit() and line.isascii():  # nearly all
-                n_rows += 1
-                yield line
-                continue
+        return chain.from_iterable(map(self._rows, self.blocks))
+
+    def _rows(self, block: Sequence[str]) -> Iterable[str]:
+        """Rows of a block, which is nearly always all of it."""
+        if all(map(str.isascii, block)) and _NO_ROW.isdisjoint({line.lstrip()[:1] for line in block}):
+            self.n_rows += len(block)
+            return block
+        return self._one_by_one(block)
+
+    def _one_by_one(self, block: Sequence[str]) -> Iterator[str]:
+        for line in block:
             text = line.lstrip()
-            if text and not text.startswith(("#", "%")):
-                n_rows += 1
+            if text[:1] not in _NO_ROW:
+                self.n_rows += 1
                 # A minus is a hyphen, whatever a typesetter made of it, and nothing is invisible.
                 yield line if line.isascii() else _MINUS.sub("-", line.translate(_INVISIBLE))
                 continue
-            self.passed.append(n_rows)
-            if len(self.passed) - n_rows > MAX_EMPTY:
+            self.passed.append(self.n_rows)
+            if len(self.passed) - self.n_rows > MAX_EMPTY:
                 raise RecordingError(
                     f"{self.name} holds {MAX_EMPTY} more empty lines and comments than rows of numbers; that is no "
                     f"recording; export it again, one row on each line"
@@ -165,8 +174,8 @@ def _pieces(path: Path) -> Iterator[bytes]:
             yield piece
 
 
-def _lines(path: Path, encoding: str) -> Iterator[str]:
-    """Lines of a file without their ends, each of a bounded length."""
+def _lines(path: Path, encoding: str) -> Iterator[list[str]]:
+    """Lines of a file without their ends, each of a bounded length, in blocks."""
     decoder = codecs.getincrementaldecoder(encoding)("replace" if encoding == "cp1252" else "strict")
     text = io.IncrementalNewlineDecoder(decoder, translate=True)
     number, held = 0, ""
@@ -180,9 +189,9 @@ def _lines(path: Path, encoding: str) -> Iterator[str]:
                 f"export it as a table with one row for each sample"
             )
         number += len(whole)
-        yield from whole
+        yield whole
     if held:
-        yield held
+        yield [held]
 
 
 def _with_times(rows: TextRows, findings: list[Finding]) -> list[Column]:
