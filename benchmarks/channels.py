@@ -21,7 +21,7 @@ from shj_bayes.model.history import History
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.motion import exact_motion, table_1
-from shj_bayes.recording.recording import Extra, Recording
+from shj_bayes.recording.recording import Column, Recording
 from shj_validation.trials import RATE_HZ, ar1, simulate
 
 MEMORY_S = 120.0
@@ -42,7 +42,7 @@ def device(seed: int, kind: str) -> list[Recording]:
     out = []
     for run, walk in zip(runs, walks, strict=True):
         tension = TENSION_KN * (1.0 + SHARE * walk) + NOISE_KN * rng.standard_normal(walk.size)
-        out.append(Recording(run.time_s, run.displacement_mm, run.force_kN, extras=(Extra("tension", "kN", tension),)))
+        out.append(Recording(run.time_s, run.displacement_mm, run.force_kN, extras=(Column("tension", tension, "kN"),)))
     return out
 
 

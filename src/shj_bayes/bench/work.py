@@ -76,12 +76,12 @@ def read_file(folder: Path, path: Path, options: Mapping[str, Any], tell: Tell) 
         recordings = settle([recording], chosen.runs)
     except ShjError as error:
         return told | {"error": str(error)}
-    pairs = [(one, _motion(one)) for one in recordings]
+    facts = [to_dict(one) for one in recordings]
     return told | {
         "usable": all(one.usable for one in recordings),
-        "runs": [to_dict(*pair) for pair in pairs],
-        "text": "\n\n".join(describe(*pair) for pair in pairs),
-        "viewer": recording_viewer(pairs),
+        "runs": facts,
+        "text": "\n\n".join(map(describe, recordings, facts)),
+        "viewer": recording_viewer([(one, _motion(one)) for one in recordings]),
     }
 
 

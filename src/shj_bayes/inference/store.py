@@ -282,7 +282,7 @@ def _input(run: Run, zero_kN: float, zero_sd_kN: float) -> RunInput:
     recording = run.recording
     return RunInput(
         **vars(recording.source),
-        extras={extra.name: extra.unit for extra in recording.extras},
+        extras={extra.name: extra.unit or "" for extra in recording.extras},
         n_samples=recording.n_samples,
         rate_Hz=recording.rate_Hz,
         duration_s=recording.duration_s,
@@ -333,7 +333,7 @@ def versions() -> dict[str, str]:
 
 def extra_names(posterior: Posterior) -> dict[str, str]:
     """Further channels of all runs: name and unit, each once."""
-    return {extra.name: extra.unit for run in posterior.runs for extra in run.recording.extras}
+    return {extra.name: extra.unit or "" for run in posterior.runs for extra in run.recording.extras}
 
 
 def _channels(posterior: Posterior, points: Sequence[NDArray[np.int64]]) -> dict[str, NDArray[Any]]:

@@ -51,7 +51,7 @@ from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
 from shj_bayes.options import DiagnoseOptions
 from shj_bayes.planning.protocol import Protocol, Rig
 from shj_bayes.recording.motion import Motion
-from shj_bayes.recording.recording import BoolArray, Extra, Recording, Source
+from shj_bayes.recording.recording import BoolArray, Column, Recording, Source
 from shj_bayes.results.device import DeviceResult
 from shj_bayes.results.diagnosis import DependenceId, DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
@@ -77,7 +77,7 @@ def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> DeviceUnderT
         for i, (entry, history) in enumerate(zip(fit.record.inputs, fit.histories, strict=True)):
             motion = replace(history.motion, noise_mm=entry.displacement_noise_mm)
             named = {coordinate_of(name): name for name in entry.extras}
-            extras = (Extra(named.get(k, k), said.unit, channels[k][i]) for k, said in fit.record.channels.items())
+            extras = (Column(named.get(k, k), channels[k][i], said.unit) for k, said in fit.record.channels.items())
             recording = Recording(
                 channels["time_s"][i],
                 motion.displacement_mm,

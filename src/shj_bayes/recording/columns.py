@@ -1,7 +1,7 @@
 """Which column is time, displacement and force, and in which unit: by option, else by header, never by guess."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,9 +9,8 @@ import numpy as np
 
 from shj_bayes.errors import RecordingError, did_you_mean, shown
 from shj_bayes.recording import limits
-from shj_bayes.recording.recording import Extra, Finding, FloatArray
+from shj_bayes.recording.recording import Column, Finding, FloatArray
 from shj_bayes.recording.tables import (
-    Column,
     Table,
     beside,
     clock_of,
@@ -61,7 +60,7 @@ class RawChannels(NamedTuple):
     assumed: frozenset[str] = frozenset()
     told: frozenset[str] = frozenset()
     run_rows: tuple[int, ...] = ()  # rows at which a run column says that a further run begins
-    extras: tuple[Extra, ...] = ()  # further channels that were asked for, at all rows
+    extras: tuple[Column, ...] = ()  # further channels that were asked for, at all rows
 
 
 def choose(
@@ -222,23 +221,18 @@ def _columns(
             values[role], chosen[role] = column, column.label
         else:
             values[role], chosen[role] = _no(table, role, asked), ""
-        findings += _text_in(role, values[role])
+        for column in values[role].made_of:
+            n_rows, n_words = column.values.size, column.n_words
+            if n_words > limits.BAD_CELL_SHARE * n_rows:
+                message = (
+                    f"{role}: {n_words} of {n_rows} cells hold text; allowed are {limits.BAD_CELL_SHARE:.0%}; write "
+                    "all numbers with one decimal sign, and take words out"
+                )
+                findings.append(Finding("text-cells", "unusable", message, n_words))
     return values, chosen
 
 
-def _text_in(role: Role, value: Column) -> Iterator[Finding]:
-    """Refuse a channel of which more cells hold text than may be left out."""
-    for column in value.made_of:
-        n_rows = column.values.size
-        if column.n_words > limits.BAD_CELL_SHARE * n_rows:
-            message = (
-                f"{role}: {column.n_words} of {n_rows} cells hold text; allowed are {limits.BAD_CELL_SHARE:.0%}; write "
-                "all numbers with one decimal sign, and take words out"
-            )
-            yield Finding("text-cells", "unusable", message, column.n_words)
-
-
-def _extra(name: str, value: Column, axis_s: FloatArray | None, n: int, table: Table) -> Extra:
+def _extra(name: str, value: Column, axis_s: FloatArray | None, n: int, table: Table) -> Column:
     """Take a further channel; a force, such as a bolt tension, in kN, anything else in the unit of its header."""
     clock = None if axis_s is None else clock_of(value.made_of)
     if axis_s is not None and clock is not None and clock.size == value.values.size and not same_clock(clock, axis_s):
@@ -248,8 +242,8 @@ def _extra(name: str, value: Column, axis_s: FloatArray | None, n: int, table: T
         raise RecordingError(f"{table.name}: {name} has {value.values.size} rows, the force {n}; choose another column")
     unit = value.unit or ""
     if role_of(unit) == "force" or (name == TENSION and (not unit or is_weight(unit))):
-        return Extra(name, "kN", value.values * (factor(unit, "force") if unit else 1.0))
-    return Extra(name, unit, np.array(value.values, dtype=np.float64))
+        return Column(name, value.values * (factor(unit, "force") if unit else 1.0), "kN")
+    return Column(name, value.values, unit)
 
 
 def parse_columns(option: str | None) -> dict[str, str]:

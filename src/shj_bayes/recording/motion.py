@@ -174,7 +174,7 @@ def least_return(values: FloatArray, noise: float) -> float:
     return max(limits.REVERSAL_NOISE * noise, limits.REVERSAL_RANGE * float(np.ptp(values)))
 
 
-_AHEAD, _FAR_AHEAD = 64, 16_384  # samples looked at in one piece, behind a reversal and where none comes
+_AHEAD = 1024  # samples looked at in one piece
 
 
 def hysteresis(values: FloatArray, threshold: float) -> list[int]:
@@ -184,9 +184,8 @@ def hysteresis(values: FloatArray, threshold: float) -> list[int]:
     """
     found: list[int] = []
     at = low = high = way = 0
-    ahead = _AHEAD
     while at < values.size:
-        piece = values[at : at + ahead]
+        piece = values[at : at + _AHEAD]
         top = np.maximum.accumulate(piece).clip(min=values[high])
         bottom = np.minimum.accumulate(piece).clip(max=values[low])
         fell = (top - piece > threshold) & (way >= 0)
@@ -194,12 +193,11 @@ def hysteresis(values: FloatArray, threshold: float) -> list[int]:
         end = turned[0] + 1 if turned else piece.size
         high = at + int(np.argmax(piece[:end])) if top[end - 1] > values[high] else high
         low = at + int(np.argmin(piece[:end])) if bottom[end - 1] < values[low] else low
-        at, ahead = at + end, min(2 * ahead, _FAR_AHEAD)
+        at += end
         if turned:
             found += [high if way > 0 else low] if way else []
             way = -1 if fell[end - 1] else 1
             low = high = at - 1
-            ahead = _AHEAD
     return found
 
 

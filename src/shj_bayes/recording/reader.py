@@ -18,10 +18,10 @@ from shj_bayes.recording.checks import inspect, plausibility_findings, repair, w
 from shj_bayes.recording.clock import follow_on, going_on, restarts
 from shj_bayes.recording.columns import RawChannels, choose, choose_history
 from shj_bayes.recording.limits import MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROWS
-from shj_bayes.recording.recording import Finding, FloatArray, Recording, RunStart, Source
+from shj_bayes.recording.recording import Column, Finding, FloatArray, Recording, Source
 from shj_bayes.recording.rows import split_header
 from shj_bayes.recording.smoothing import at_samples
-from shj_bayes.recording.tables import Column, Format, Table, as_floats
+from shj_bayes.recording.tables import Format, Table, as_floats
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,7 +45,8 @@ def read_table(path: str | Path, sheet: str | None = None) -> Table:
     if sheet is not None and not own.sheets:
         raise RecordingError(f"{path.name}: a {own.id} file has no sheets or groups; leave --sheet out")
     try:
-        table = own.read(path, file_digest(path), *([sheet] if own.sheets else []))
+        table = own.read(path, sheet) if own.sheets else own.read(path)
+        return _checked(replace(table, format=own.id, sha256=file_digest(path)))
     except RecordingError:
         raise
     except MemoryError as error:
@@ -57,7 +58,6 @@ def read_table(path: str | Path, sheet: str | None = None) -> Table:
             f"{path.name}: cannot be read as {own.id} ({type(error).__name__}: {reason[:160]}); "
             f"check that the file is complete and that its ending is right"
         ) from error
-    return _checked(table)
 
 
 def _format(path: Path) -> Format:
@@ -192,7 +192,7 @@ def recording_of(table: Table, columns: str | None, units: str | None, rate_Hz: 
         used=used,
         source=Source(table.name, table.sha256, table.format, channels.columns, channels.units),
         findings=(*table.findings, *channels.findings, *told, *findings),
-        run_starts=tuple(RunStart(at, shift) for at, shift in samples.items() if 0 < at < time_s.size),
+        run_starts={at: shift for at, shift in samples.items() if 0 < at < time_s.size},
         extras=tuple(replace(e, values=at_samples(clock_s, e.values, time_s)) for e in channels.extras),
     )
     return recording.with_findings(*inspect(recording))
@@ -246,4 +246,4 @@ def read_frame(
         found.append(Column(title, values, unit, str(label)))
     if not found:
         raise RecordingError(f"{name}: no column holds numbers; give time, displacement and force as columns")
-    return recording_of(Table(name, "dataframe", "", tuple(found)), columns, units, rate_Hz)
+    return recording_of(Table(name, tuple(found)), columns, units, rate_Hz)

@@ -7,7 +7,7 @@ from functools import cached_property
 from html import escape
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,27 +65,30 @@ class Source:
             object.__setattr__(self, key, {role: plain_text(text) for role, text in getattr(self, key).items()})
 
 
-class RunStart(NamedTuple):
-    """Where a further run begins in a file that tells its runs apart."""
-
-    sample: int  # its first sample
-    shift_s: float = 0.0  # what was added to its times, so that they follow those of the run before, s
-
-
 @dataclass(frozen=True, eq=False)
-class Extra:
-    """A further channel that was asked for: bolt tension, temperature ..."""
+class Column:
+    """A column, matrix or single number of a file, or what a formula makes of them."""
 
-    # name, unit: as given with ``--columns`` and as the header says; a force, such as ``tension``, in kN
-    name: str
-    unit: str
-    values: FloatArray  # shape (n_samples,): at the samples of the recording; NaN where there is no number near
+    name: str  # name in the file, without the unit where the unit could be told apart; ``"#3"`` without a header
+    # numbers, shape (n_rows,), NaN where the cell was empty or held no number; () of a single number; empty for none
+    values: FloatArray
+    unit: str | None = None  # unit as written in the file
+    header: str = ""  # header as written, name and unit together
+    n_words: int = 0  # cells that hold text and no number
+    group: str = ""  # group, struct or the like of the file that holds it
+    clock_s: FloatArray | None = None  # times of its values where it has its own, shape (n_rows,), s
+    clock_told: bool = True  # whether the file says that these are seconds
+    parts: tuple[Column, ...] = ()  # columns that it was made of
 
-    def __post_init__(self) -> None:
-        """Names are text from outside; the values stay as they are."""
-        object.__setattr__(self, "name", plain_text(self.name))
-        object.__setattr__(self, "unit", plain_text(self.unit))
-        object.__setattr__(self, "values", frozen(self.values))
+    @property
+    def label(self) -> str:
+        """What the file calls it."""
+        return self.header or self.name
+
+    @property
+    def made_of(self) -> tuple[Column, ...]:
+        """Columns of the file in it: itself, or those of a formula."""
+        return self.parts or ((self,) if self.values.ndim else ())
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +105,12 @@ class Recording:
         Where it came from.
     findings : tuple of Finding
         What was found, assumed and repaired on the way in.
-    run_starts : tuple of RunStart
-        Further runs, where the file itself tells them apart (time that begins again, a run column).
-    extras : tuple of Extra
-        Further channels that were asked for.
+    run_starts : dict of int to float
+        First samples of further runs, where the file itself tells them apart (time that begins again, a run column),
+        and what was added to their times, so that they follow those of the run before, s.
+    extras : tuple of Column
+        Further channels that were asked for (bolt tension, temperature ...), by the names given with ``--columns``: at
+        the samples of the recording, NaN where there is no number near; a force, such as ``tension``, in kN.
     """
 
     time_s: FloatArray
@@ -114,8 +119,8 @@ class Recording:
     used: BoolArray | None = None
     source: Source = field(default_factory=lambda: Source("in memory"))
     findings: tuple[Finding, ...] = ()
-    run_starts: tuple[RunStart, ...] = ()
-    extras: tuple[Extra, ...] = ()
+    run_starts: dict[int, float] = field(default_factory=dict)
+    extras: tuple[Column, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy, check and freeze the arrays."""
@@ -136,10 +141,15 @@ class Recording:
         if used.shape != (n,):
             raise RecordingError(f"used has shape {used.shape}; it needs shape ({n},)")
         object.__setattr__(self, "used", used)
-        for extra in self.extras:
+        extras = tuple(
+            replace(one, name=plain_text(one.name), unit=plain_text(one.unit or ""), values=frozen(one.values))
+            for one in self.extras
+        )
+        object.__setattr__(self, "extras", extras)
+        for extra in extras:
             if extra.values.shape != (n,):
                 raise RecordingError(f"{extra.name} has shape {extra.values.shape}; all channels need shape ({n},)")
-        edges = [0, *(start.sample for start in self.run_starts), n]
+        edges = [0, *self.run_starts, n]
         if any(b <= a for a, b in pairwise(edges)):
             raise RecordingError(f"run_starts at samples {edges[1:-1]}; they need to increase from 1 to {n - 1}")
 

@@ -201,14 +201,6 @@ _SHORTEST_NAME = 3  # letters of words that may be names of columns and not mark
 _LABVIEW = ("LabVIEW Measurement", "***End_of_Header")
 
 
-class Wave(NamedTuple):
-    """Times of a channel as LabVIEW writes them."""
-
-    started: str  # date and time
-    first_s: float  # after the start
-    step_s: float  # 0 where it is not written
-
-
 class Head(NamedTuple):
     """What stands above rows of numbers."""
 
@@ -216,7 +208,8 @@ class Head(NamedTuple):
     units: list[str | None]
     written: list[str]  # names and units together, as in the file
     line: int = 0  # of the names or units, counted from 1
-    waves: Sequence[Wave] = ()  # of a LabVIEW file, of all columns but the first
+    # of a LabVIEW file, of all columns but the first: date and time of the start, first time after it and interval, s
+    waves: Sequence[tuple[str, float, float]] = ()
 
 
 def head_of(above: list[str], dialect: Dialect, line: int = 0) -> Head:
@@ -302,7 +295,7 @@ def _with_waves(head: Head, above: list[str], dialect: Dialect) -> Head:
 
     empty = [""] * (dialect.width - 1)
     columns = zip(*(fields.get(key, empty) for key in ("date", "time", "x0", "delta_x")), strict=True)
-    waves = [Wave(f"{day} {time}".strip(), number(x0), number(step)) for day, time, x0, step in columns]
+    waves = [(f"{day} {time}".strip(), number(x0), number(step)) for day, time, x0, step in columns]
     return head._replace(units=units, waves=waves)
 
 
@@ -636,18 +629,26 @@ class TextRows:
 
     def _refuse_thousands(self, lines: list[str]) -> None:
         """Refuse a column of 998 and 1,002: whether that is a thousand or about one cannot be seen, and matters."""
-        looked = (self.dialect.cells(line) for line in lines[:: max(1, len(lines) // _N_LOOKED)])
-        rows = [cells for cells in looked if numeric_width(cells, self.decimal)]
-        for i, label in enumerate(self.labels):
-            cells = [row[i] for row in rows if len(row) > i and row[i]]
-            marked = [cell for cell in cells if "." in cell or "," in cell]
-            if len(marked) < _MIN_SUSPECT or len(marked) == len(cells) or not all(map(_SUSPECT.fullmatch, marked)):
-                continue
+        suspected: dict[int, list[str]] = {i: [] for i in range(len(self.labels))}
+        for line in lines[:: max(1, len(lines) // _N_LOOKED)]:
+            row = self.dialect.cells(line)
+            for i, cell in enumerate(row) if numeric_width(row, self.decimal) else ():
+                if i in suspected and _is_marked(cell) and not _SUSPECT.fullmatch(cell):
+                    del suspected[i]
+                elif i in suspected and cell:
+                    suspected[i].append(cell)
+            if not suspected:  # as in nearly all files, after a few rows
+                return
+        for i, cells in suspected.items():
+            marked = [cell for cell in cells if _is_marked(cell)]
             bare = [cell for cell in cells if re.fullmatch(r"[+-]?[0-9]{3}", cell)]
-            if bare and len({cell.lstrip("+-")[-4] for cell in marked}) == 1 and self.decimal in marked[0]:
+            if len(marked) < _MIN_SUSPECT or not bare or self.decimal not in marked[0]:
+                continue
+            if len({cell.lstrip("+-")[-4] for cell in marked}) == 1:
+                both = f"column {self.labels[i]} holds both {bare[0]} and {marked[0]}"
                 raise RecordingError(
-                    f"{self.file}: column {label} holds both {bare[0]} and {marked[0]}, so {marked[0]} may be a "
-                    "thousand or about one; export without groups of thousands"
+                    f"{self.file}: {both}, so {marked[0]} may be a thousand or about one; export without groups of "
+                    "thousands"
                 )
 
     def findings(self) -> Iterator[Finding]:
@@ -668,6 +669,10 @@ class TextRows:
             yield Finding("broken-rows", "repaired", f"{lost} rows with too many cells left out", lost)
         for column, label in zip(self.columns, self.labels, strict=True):
             yield from column.findings(label)
+
+
+def _is_marked(cell: str) -> bool:
+    return "." in cell or "," in cell
 
 
 def _is_row(cells: list[str], dialect: Dialect) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
@@ -42,7 +43,7 @@ class Division(NamedTuple):
 
 def divisions(recording: Recording) -> tuple[Division, ...]:
     """Find the ways in which a recording may hold several runs, the surest first; none where nothing speaks for it."""
-    told = [start.sample for start in recording.run_starts]
+    told = list(recording.run_starts)
     found = [Division("file", _spans(recording, told), f"the file tells {len(told) + 1} runs apart")] if told else []
     sketch = _sketch(recording)
     if sketch is None:
@@ -139,7 +140,7 @@ def _cut(recording: Recording, way: Division) -> tuple[Recording, ...]:
     assert used is not None
     whole = {*inspect(recording), *clock_findings(recording.time_s, recording.displacement_mm)}
     kept = tuple(finding for finding in recording.findings if finding not in whole)
-    shift = {start.sample: start.shift_s for start in recording.run_starts if way.why == "file"}
+    shift = recording.run_starts if way.why == "file" else {}
     parts = []
     for number, (a, b) in enumerate(way.spans, start=1):
         said = Finding("runs-split", "assumed", f"run {number} of {way.n_runs} in {recording.source.name}: {way.words}")
@@ -358,14 +359,7 @@ def check_recording(path: Path, runs: Runs = None, **reading: Any) -> list[tuple
         name = plain_text(path.name or str(path))
         reason = str(error).removeprefix(f"{name}: ")
         return [({"name": name, "usable": False, "error": str(error)}, f"{name}: NOT USABLE\n  {reason}")]
-    checked = []
-    for recording in recordings:
-        try:
-            motion = motion_of(recording)
-        except RecordingError:
-            motion = None
-        checked.append((to_dict(recording, motion), describe(recording, motion)))
-    return checked
+    return [(facts := to_dict(recording), describe(recording, facts)) for recording in recordings]
 
 
 def blocks_of(motion: Motion) -> list[dict[str, float]]:
@@ -391,10 +385,10 @@ def blocks_of(motion: Motion) -> list[dict[str, float]]:
     ]
 
 
-def to_dict(recording: Recording, motion: Motion | None) -> dict[str, Any]:
+def to_dict(recording: Recording) -> dict[str, Any]:
     """Everything ``check --json`` prints, as plain values.
 
-    `motion` is None when the displacement does not move enough to have half-cycles.
+    There is no ``motion`` where the displacement does not move enough to have half-cycles.
     """
     result: dict[str, Any] = {
         "schema": SCHEMA,
@@ -413,7 +407,8 @@ def to_dict(recording: Recording, motion: Motion | None) -> dict[str, Any]:
         "force_noise_kN": noise_of(recording.force_kN[recording.used]),
         "findings": [asdict(finding) for finding in recording.findings],
     }
-    if motion is not None:
+    with suppress(RecordingError):
+        motion = motion_of(recording)
         result["motion"] = {
             "half_cycles": motion.n_half,
             "blocks": blocks_of(motion),
@@ -425,15 +420,11 @@ def to_dict(recording: Recording, motion: Motion | None) -> dict[str, Any]:
     return result
 
 
-def describe(recording: Recording, motion: Motion | None) -> str:
-    """Plain text for the ``check`` command: what was read, then the findings, the gravest first.
-
-    `motion` is None when the displacement does not move enough to have half-cycles.
-    """
-    facts = to_dict(recording, motion)
+def describe(recording: Recording, facts: dict[str, Any]) -> str:
+    """Plain text for the ``check`` command: what was read (`to_dict`), then the findings, the gravest first."""
     unit, factor = unit_of(recording.force_kN)
     (x_low, x_high), (low, high) = facts["displacement_mm"], (value * factor for value in facts["force_kN"])
-    noise = facts["force_noise_kN"] * factor
+    noise, moved = facts["force_noise_kN"] * factor, facts.get("motion")
     lines = [f"{facts['name']}: {'usable' if facts['usable'] else 'NOT USABLE'}"]
     for role, column in facts["columns"].items():
         lines.append(f"  {role:<13}{column}  [{facts['units'].get(role, '?')}]")
@@ -441,10 +432,9 @@ def describe(recording: Recording, motion: Motion | None) -> str:
         f"  {'samples':<13}{facts['n_samples']} at {facts['rate_Hz']:.5g} Hz, {facts['duration_s']:.5g} s; "
         f"{facts['n_used']} used as evidence",
         f"  {'range':<13}{x_low:.4g} to {x_high:.4g} mm, {low:.4g} to {high:.4g} {unit}",
-        f"  {'noise':<13}{noise:.2g} {unit}" + (f", {motion.noise_mm:.2g} mm" if motion else ""),
+        f"  {'noise':<13}{noise:.2g} {unit}" + (f", {moved['displacement_noise_mm']:.2g} mm" if moved else ""),
     ]
-    if motion is not None:
-        moved = facts["motion"]
+    if moved is not None:
         lines.append(
             f"  {'motion':<13}{moved['half_cycles']} half-cycles, {moved['travel_mm']:.4g} mm travel, "
             f"up to {moved['peak_speed_mm_s']:.3g} mm/s"

@@ -24,7 +24,7 @@ from shj_bayes.recording.limits import (
     LOCAL_SD,
     SHORTEST_SHARE,
 )
-from shj_bayes.recording.recording import BoolArray, Extra, FloatArray
+from shj_bayes.recording.recording import BoolArray, Column, FloatArray
 
 
 @lru_cache(maxsize=256)
@@ -71,7 +71,7 @@ def hermite(knots: FloatArray, values: FloatArray, slopes: FloatArray, at: Float
 
     The places increase as well; beyond the ends the last cubic goes on.
     """
-    k = np.repeat(np.arange(knots.size - 1), np.diff([0, *np.searchsorted(at, knots[1:-1]).tolist(), at.size]))
+    k = np.repeat(np.arange(knots.size - 1), np.diff(np.searchsorted(at, knots[1:-1]), prepend=0, append=at.size))
     width = np.diff(knots)
     rise, first, last = np.diff(values), width * slopes[:-1], width * slopes[1:]
     bend, twist = 3 * rise - 2 * first - last, first + last - 2 * rise
@@ -108,7 +108,7 @@ class Samples(NamedTuple):
         if n == time_s.size and np.allclose(time_s, centres, rtol=0.0, atol=0.02 * step):
             return Samples(centres, values, self.noise, step)
         since = time_s - time_s[0]
-        cell = np.clip(np.rint(since / step).astype(np.int64), 0, n - 1)
+        cell = np.minimum(np.rint(since / step), n - 1).astype(np.int64)
         count = np.bincount(cell, minlength=n)
         filled = count > 0
         mean_time = np.bincount(cell, since, n)[filled] / count[filled] + time_s[0]
@@ -411,18 +411,18 @@ class Channel:
         freeze(self, "time_s", "values")
 
 
-def channel_of(extra: Extra, time_s: FloatArray, force_kN: FloatArray) -> Channel:
+def channel_of(extra: Column, time_s: FloatArray, force_kN: FloatArray) -> Channel:
     """Take the noise off a further channel or say why it cannot serve; times and force are those of its samples."""
     since = time_s - time_s[0]
     known = np.flatnonzero(np.isfinite(extra.values))
     gap = float(np.diff(since[known], prepend=0.0, append=since[-1]).max() / since[-1])
     if known.size < SHORTEST or gap > CHANNEL_GAP:
-        return Channel(extra.name, extra.unit, np.zeros(0), np.zeros(0), Refusal.GAPS, gap)
+        return Channel(extra.name, extra.unit or "", np.zeros(0), np.zeros(0), Refusal.GAPS, gap)
     time = since[known]
     step = max(float(np.median(np.diff(time))), since[-1] / CHANNEL_CELLS)
     grid = Samples(time, extra.values[known], 0.0, step).averaged(step)
     smoothed, left = _smoothed(grid.values)
-    found = Channel(extra.name, extra.unit, grid.time_s, smoothed)
+    found = Channel(extra.name, extra.unit or "", grid.time_s, smoothed)
     whole = float(np.var(smoothed))
     noise = min(left / whole, 1.0) if np.ptp(smoothed) > 1e-9 * np.abs(smoothed).max() else 1.0
     if noise > CHANNEL_NOISE:

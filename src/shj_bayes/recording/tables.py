@@ -11,34 +11,8 @@ import numpy as np
 
 from shj_bayes.errors import RecordingError, did_you_mean
 from shj_bayes.recording import limits
-from shj_bayes.recording.recording import Finding, FloatArray
+from shj_bayes.recording.recording import Column, Finding, FloatArray
 from shj_bayes.recording.units import multiplier
-
-
-@dataclass(frozen=True, eq=False)
-class Column:
-    """A column, matrix or single number of a file, or what a formula makes of them."""
-
-    name: str  # name in the file, without the unit where the unit could be told apart; ``"#3"`` without a header
-    # numbers, shape (n_rows,), NaN where the cell was empty or held no number; () of a single number; empty for none
-    values: FloatArray
-    unit: str | None = None  # unit as written in the file
-    header: str = ""  # header as written, name and unit together
-    n_words: int = 0  # cells that hold text and no number
-    group: str = ""  # group, struct or the like of the file that holds it
-    clock_s: FloatArray | None = None  # times of its values where it has its own, shape (n_rows,), s
-    clock_told: bool = True  # whether the file says that these are seconds
-    parts: tuple["Column", ...] = ()  # columns that it was made of
-
-    @property
-    def label(self) -> str:
-        """What the file calls it."""
-        return self.header or self.name
-
-    @property
-    def made_of(self) -> tuple["Column", ...]:
-        """Columns of the file in it: itself, or those of a formula."""
-        return self.parts or ((self,) if self.values.ndim else ())
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +20,14 @@ class Table:
     """What a file holds, before anything is chosen or converted."""
 
     name: str  # file name without folders
-    format: str  # id of the format: ``csv``, ``xlsx``, ``mat`` ...
-    sha256: str  # digest of the file as it lies on the disk
     columns: tuple[Column, ...]  # in the order of the file
     has_header: bool = True  # whether the columns have names of their own
     # single numbers stored beside the columns (MAT variables, HDF5 and TDMS attributes)
     scalars: dict[str, float] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()  # what was met while reading
+    # format, sha256: filled in by the reader: id of the format, ``csv``, ``xlsx`` ..., and digest of the file
+    format: str = "dataframe"
+    sha256: str = ""
 
     @property
     def summary(self) -> str:
@@ -99,7 +74,7 @@ class Format(NamedTuple):
 
     id: str  # word in files and messages
     endings: tuple[str, ...]  # of file names, in lower case with the dot
-    # ``read(path, sha256)`` gives the table; it imports its library itself. With sheets, ``read(path, sha256, sheet)``
+    # ``read(path)`` gives the table; it imports its library itself. With sheets, ``read(path, sheet)``
     read: Callable[..., Table]
     gzipped: bool = False  # whether it may be compressed, with ``.gz`` behind the ending
     sheets: bool = False  # whether a file may hold several tables, of which ``--sheet`` names one

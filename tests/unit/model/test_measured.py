@@ -15,7 +15,7 @@ from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.history import coordinate_of, delayed
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.motion import exact_motion, table_1
-from shj_bayes.recording.recording import Extra, Recording
+from shj_bayes.recording.recording import Column, Recording
 from shj_bayes.recording.smoothing import Refusal
 
 BASE = Base(18.0, 80.0, 100.0, 0.01, 80.0)
@@ -27,7 +27,7 @@ def recording(middle: float = 45.0, **others: np.ndarray) -> Recording:
     """Table 1 with a tension that swings by 3 kN around its middle."""
     time, motion = exact_motion(table_1(), 5.0)
     tension = middle + 3.0 * np.sin(time / 50.0)
-    extras = tuple(Extra(name, "kN", values) for name, values in {"tension": tension, **others}.items())
+    extras = tuple(Column(name, values, "kN") for name, values in {"tension": tension, **others}.items())
     return Recording(time, motion.displacement_mm, 60.0 * np.tanh(motion.displacement_mm), extras=extras)
 
 

@@ -40,8 +40,7 @@ def test_blocks(clean):
 def test_description_and_dictionary_say_the_same(tmp_path, small):
     path = write_csv(tmp_path / "run.csv", small, comment="SIMULATED")
     recording = read(path)
-    motion = motion_of(recording)
-    text = describe(recording, motion)
+    text = describe(recording, to_dict(recording))
     for words in (
         "run.csv: usable",
         "force_kN  [kN]",
@@ -51,7 +50,7 @@ def test_description_and_dictionary_say_the_same(tmp_path, small):
         "note      simulated",
     ):
         assert words in text
-    facts = json.loads(json.dumps(to_dict(recording, motion)))
+    facts = json.loads(json.dumps(to_dict(recording)))
     assert facts["schema"] == "shj-bayes/check/1"
     assert facts["usable"] is True
     assert facts["motion"]["half_cycles"] == 13
@@ -79,8 +78,9 @@ def test_description_without_motion_and_worst_first(tmp_path):
     path = tmp_path / "flat.csv"
     path.write_text("time_s,displacement_mm,force\n" + "".join(f"{i},0.0,{1e6 * (i % 3)}\n" for i in range(50)))
     recording = read(path)
-    text = describe(recording, None)
+    text = describe(recording, to_dict(recording))
     assert "NOT USABLE" in text
     assert text.index("unusable") < text.index("assumed")
-    assert "motion" not in to_dict(recording, None)
-    assert "nothing to remark" in describe(Recording([0, 1], [0, 1], [0, 1]), None)
+    assert "motion" not in to_dict(recording)
+    short = Recording([0, 1], [0, 1], [0, 1])
+    assert "nothing to remark" in describe(short, to_dict(short))

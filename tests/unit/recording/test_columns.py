@@ -5,8 +5,9 @@ import pytest
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.columns import choose, parse_columns
 from shj_bayes.recording.reader import read, read_frame
+from shj_bayes.recording.recording import Column
 from shj_bayes.recording.rows import split_header
-from shj_bayes.recording.tables import Column, Table, evaluate
+from shj_bayes.recording.tables import Table, evaluate
 
 N = 6
 
@@ -16,7 +17,7 @@ def table(*headers, scalars=None, has_header=True):
     for i, header in enumerate(headers):
         name, unit = split_header(header)
         columns.append(Column(name if has_header else f"#{i + 1}", np.arange(N) * (i + 1.0), unit, header))
-    return Table("run.csv", "csv", "", tuple(columns), has_header, scalars or {})
+    return Table("run.csv", tuple(columns), has_header, scalars or {})
 
 
 def test_header_names_and_units_are_found():
@@ -169,7 +170,7 @@ def test_bad_columns_option(option, words):
 
 def test_columns_of_different_lengths_and_single_numbers():
     short = Column("x", np.arange(3.0), "mm", "x")
-    uneven = Table("a.mat", "mat", "", (*table("t (s)", "f (kN)").columns, short), scalars={"k": 2.0})
+    uneven = Table("a.mat", (*table("t (s)", "f (kN)").columns, short), scalars={"k": 2.0})
     with pytest.raises(RecordingError, match="different lengths"):
         choose(uneven)
     with pytest.raises(RecordingError, match="single number"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.recording.limits import CHANNEL_CELLS, CHANNEL_NOISE
-from shj_bayes.recording.recording import Extra
+from shj_bayes.recording.recording import Column
 from shj_bayes.recording.smoothing import Channel, Refusal, at_samples, channel_of
 
 TIME = 0.2 * np.arange(3000.0)
@@ -17,7 +17,7 @@ def noise(size: float, seed: int = 1) -> np.ndarray:
 
 
 def taken(values: np.ndarray) -> Channel:
-    return channel_of(Extra("tension", "kN", values), TIME, FORCE)
+    return channel_of(Column("tension", values, "kN"), TIME, FORCE)
 
 
 def test_the_noise_is_taken_off() -> None:
@@ -75,7 +75,7 @@ def test_a_reaction_to_the_force_is_refused() -> None:
 def test_many_samples_are_averaged() -> None:
     time = 0.001 * np.arange(200_000.0)
     values = 20.0 + time + np.random.default_rng(2).standard_normal(time.size)
-    own = channel_of(Extra("temperature", "degC", values), time, np.sin(time))
+    own = channel_of(Column("temperature", values, "degC"), time, np.sin(time))
     assert own.time_s.size <= CHANNEL_CELLS + 1
     np.testing.assert_allclose(own.values, 20.0 + own.time_s, atol=0.3)
 

@@ -167,7 +167,7 @@ def test_the_number_that_was_given_chooses_the_longest_rests():
 def test_time_that_begins_again_is_split_without_an_option(tmp_path):
     path = written(tmp_path / "device.csv", np.vstack(THREE))
     recording = read(path)
-    assert [start.sample for start in recording.run_starts] == [len(THREE[0]), 2 * len(THREE[0])]
+    assert list(recording.run_starts) == [len(THREE[0]), 2 * len(THREE[0])]
     assert "3 runs" in codes(recording)["time-restarts"].message
     runs = settle([recording])
     assert [run.source.name for run in runs] == [f"device.csv run {i}" for i in (1, 2, 3)]
@@ -176,7 +176,7 @@ def test_time_that_begins_again_is_split_without_an_option(tmp_path):
         np.testing.assert_allclose(run.time_s, rows[:, 0], atol=1e-6)
         np.testing.assert_allclose(run.force_kN, rows[:, 2], rtol=1e-8)
         assert "gaps" not in codes(run)  # of the whole, between the runs
-        assert run.run_starts == ()
+        assert run.run_starts == {}
     assert settle([recording], "one") == [recording]
 
 
@@ -189,7 +189,7 @@ def test_a_run_column_tells_runs_apart(tmp_path):
     assert [run.n_samples for run in settle([recording])] == [len(run) for run in THREE]
     counts = np.arange(len(rows)) % 50  # comes again and again: it numbers something else
     recording = read(written(tmp_path / "b.csv", np.column_stack([rows, counts]), f"{HEAD},Run"))
-    assert recording.run_starts == ()
+    assert recording.run_starts == {}
     assert "Run" in codes(recording)["columns-ignored"].message
 
 

@@ -21,9 +21,9 @@ import numpy as np
 from shj_bayes._util.processes import PYTHON, bound_memory, end_with_input, tether
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import limits
-from shj_bayes.recording.recording import Finding
+from shj_bayes.recording.recording import Column, Finding
 from shj_bayes.recording.rows import is_unit_row, split_header
-from shj_bayes.recording.tables import Column, Format, Table, as_floats, grouped, left_out, refuse_large
+from shj_bayes.recording.tables import Format, Table, as_floats, grouped, left_out, refuse_large
 
 MAX_WIDTH = 64  # a matrix with more columns is an image or a state history, not channels
 _VALUES = {"data", "values", "value", "y"}  # fields of a channel: its numbers, their times, what they are called
@@ -362,17 +362,17 @@ _V4_BYTES = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # of a number, by its type in 
 _OBJECTS = "; objects such as timeseries and timetable only MATLAB can open: save s.time = ts.Time; s.force = ts.Data"
 
 
-def read_binary(path: Path, sha256: str, sheet: str | None) -> Table:
+def read_binary(path: Path, sheet: str | None) -> Table:
     """Read a MAT or HDF5 file: a column for each vector and each column of a matrix (``name[1]``), and single numbers.
 
     Structs and cells of MATLAB are gone into (``test.data.time``), groups of HDF5 too (``test/data/time``). v7.3 MAT
     files are HDF5 and are recognised by their contents. `sheet` is one of the groups or structs.
     """
-    kind = "mat" if path.suffix.lower() == ".mat" else "hdf5"
-    mark = "." if kind == "mat" else "/"
+    is_mat = path.suffix.lower() == ".mat"
+    mark = "." if is_mat else "/"
     if is_hdf5(path):
         items = apart(path, mark)
-    elif kind == "mat":
+    elif is_mat:
         items = _from_mat(path)
     else:
         raise RecordingError(f"{path.name} is not an HDF5 file although its ending says so; export it again")
@@ -383,10 +383,10 @@ def read_binary(path: Path, sha256: str, sheet: str | None) -> Table:
         )
         raise RecordingError(
             f"{path.name}: no column of numbers found; {held or 'it is empty'}; export time, displacement and force as "
-            f"vectors{_OBJECTS if kind == 'mat' else ''}"
+            f"vectors{_OBJECTS if is_mat else ''}"
         )
     found, told = grouped(columns, path.name, mark, sheet)
-    return Table(path.name, kind, sha256, found, scalars=scalars, findings=(*findings, *told))
+    return Table(path.name, found, scalars=scalars, findings=(*findings, *told))
 
 
 def is_hdf5(path: Path) -> bool:

@@ -23,7 +23,7 @@ _SHEET = re.compile(rb"<(?:\w+:)?sheet[\s/>]")
 _ROW = re.compile(rb"<(?:\w+:)?(?:row|si)[\s/>]")
 
 
-def read_excel(path: Path, sha256: str, sheet: str | None) -> Table:
+def read_excel(path: Path, sheet: str | None) -> Table:
     """Read the sheet of an XLSX workbook that holds a recording, formulas as the values last stored.
 
     `sheet` names it; else it is the one whose header names most of the channels. Sheets that do so alike and are called
@@ -47,7 +47,7 @@ def read_excel(path: Path, sha256: str, sheet: str | None) -> Table:
             if not hasattr(book[name], "iter_rows"):  # a chart sheet
                 continue
             try:  # by way of the text reader, so that both find headers by the same rules
-                tables[name] = table_from_lines(_lines(book[name], path.name, left), path.name, sha256, "xlsx")
+                tables[name] = table_from_lines(_lines(book[name], path.name, left), path.name)
             except NoNumbersError:
                 continue
             except RecordingError as error:

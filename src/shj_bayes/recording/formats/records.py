@@ -10,16 +10,16 @@ import numpy as np
 
 from shj_bayes.errors import RecordingError, shown
 from shj_bayes.recording.limits import MAX_BRACKETS, MAX_CELL, MAX_JSON_BYTES, MAX_TABLE_CELLS
-from shj_bayes.recording.recording import Finding, FloatArray
+from shj_bayes.recording.recording import Column, Finding, FloatArray
 from shj_bayes.recording.rows import PLAIN, split_header
-from shj_bayes.recording.tables import Column, Format, Table, as_floats, bounded_columns, left_out
+from shj_bayes.recording.tables import Format, Table, as_floats, bounded_columns, left_out
 
 _SHAPES = '[{"time_s": 0, ...}, ...], {"time_s": [0, ...], ...} or [[0, ...], ...]'
 _INDEX = "index"  # of the rows, as pandas writes it
 _Cells = list[tuple[str, list[Any]]]  # names and cells of columns
 
 
-def read_records(path: Path, sha256: str) -> Table:
+def read_records(path: Path) -> Table:
     """Read a table out of JSON; ``units``, an object of column to unit, is read too.
 
     Single numbers beside the columns can be used in formulas. `RecordingError` if it is too large or holds no table.
@@ -56,7 +56,7 @@ def read_records(path: Path, sha256: str) -> Table:
     if beside.get("simulated") is True or any("simulated" in v.lower() for v in beside.values() if isinstance(v, str)):
         findings.append(Finding("simulated", "note", "the file says that it is simulated, not measured"))
     scalars = {key: value for key, value in beside.items() if isinstance(value, float)}
-    return Table(path.name, "json", sha256, tuple(columns), any(name for name, _ in table), scalars, tuple(findings))
+    return Table(path.name, tuple(columns), any(name for name, _ in table), scalars, tuple(findings))
 
 
 def _parsed(path: Path) -> Any:

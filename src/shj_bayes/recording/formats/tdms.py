@@ -9,14 +9,14 @@ import numpy as np
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.limits import MAX_PARTS
-from shj_bayes.recording.recording import Finding, FloatArray
+from shj_bayes.recording.recording import Column, Finding, FloatArray
 from shj_bayes.recording.rows import split_header
-from shj_bayes.recording.tables import Column, Format, Table, as_floats, grouped, left_out, refuse_large, same_clock
+from shj_bayes.recording.tables import Format, Table, as_floats, grouped, left_out, refuse_large, same_clock
 
 _MARK = "/"  # between group and channel
 
 
-def read_tdms(path: Path, sha256: str, sheet: str | None) -> Table:
+def read_tdms(path: Path, sheet: str | None) -> Table:
     """Read the numeric channels and time stamps of a TDMS file, each with the times that its waveform states.
 
     One interval for all is the single number ``wf_increment`` (s). `sheet` is one of the groups.
@@ -57,7 +57,7 @@ def read_tdms(path: Path, sha256: str, sheet: str | None) -> Table:
     one = len(steps) == 1 and not any(c.name == "Run" for c in found)
     one = one and all(column.clock_s is None or same_clock(column.clock_s, first) for column in found)
     scalars = {"wf_increment": steps.pop()} if one else {}
-    return Table(path.name, "tdms", sha256, found, scalars=scalars, findings=told)
+    return Table(path.name, found, scalars=scalars, findings=told)
 
 
 def _clocks(channels: list[Any]) -> tuple[dict[str, FloatArray], str]:

@@ -21,9 +21,9 @@ from shj_bayes.errors import RecordingError
 from shj_bayes.recording.clock import Stamps
 from shj_bayes.recording.columns import roles_named
 from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_EMPTY, MAX_LINE, SAME_INSTANT
-from shj_bayes.recording.recording import Finding, FloatArray
-from shj_bayes.recording.rows import LOOK, TextRows, Wave, find_dialect, head_of
-from shj_bayes.recording.tables import Column, Format, Table, bounded_columns, seconds_of
+from shj_bayes.recording.recording import Column, Finding, FloatArray
+from shj_bayes.recording.rows import LOOK, TextRows, find_dialect, head_of
+from shj_bayes.recording.tables import Format, Table, bounded_columns, seconds_of
 
 # hyphens, dashes and minus signs before a number or in its exponent; marks without width
 _MINUS = re.compile("(?:(?<!\\w)|(?<=[0-9][eEdD]))[\u2010-\u2015\u2212\ufe58\ufe63\uff0d](?=[.,]?[0-9])")
@@ -32,20 +32,18 @@ _NO_ROW = {"", "#", "%"}  # how lines begin that are no rows
 _HEAD = 4096  # bytes in which the zeros of UTF-16 are looked for
 
 
-def read_text(path: Path, sha256: str) -> Table:
-    """Read a text table, plain or gzipped; `sha256` is its digest."""
+def read_text(path: Path) -> Table:
+    """Read a text table, plain or gzipped."""
     encoding = find_encoding(path)
     said = "Latin-1" if encoding == "cp1252" else encoding
     notes = [] if encoding.startswith("utf-8") else [Finding("encoding", "note", f"text read as {said}")]
-    return table_from_lines(_lines(path, encoding), path.name, sha256, "csv", tuple(notes))
+    return table_from_lines(_lines(path, encoding), path.name, notes)
 
 
-def table_from_lines(
-    blocks: Iterable[Sequence[str]], name: str, sha256: str, kind: str, notes: tuple[Finding, ...] = ()
-) -> Table:
+def table_from_lines(blocks: Iterable[Sequence[str]], name: str, notes: Iterable[Finding] = ()) -> Table:
     """Find header and numbers in blocks of lines of text; empty ones mean nothing, and ``#`` or ``%`` begins a comment.
 
-    `kind` is the format of the table, `notes` what was met before.
+    `notes` is what was met before.
     """
     text = _Lines(blocks, name)
     stream = iter(text)
@@ -70,7 +68,7 @@ def table_from_lines(
     if dialect.decimal == ",":
         findings.append(Finding("decimal-comma", "assumed", "a comma is read as the decimal sign (0,5 is one half)"))
     columns = _with_times(rows, findings)
-    return Table(name, kind, sha256, tuple(columns), has_header=any(head.names), findings=tuple(findings))
+    return Table(name, tuple(columns), has_header=any(head.names), findings=tuple(findings))
 
 
 class _Lines:
@@ -213,24 +211,26 @@ def _with_times(rows: TextRows, findings: list[Finding]) -> list[Column]:
 def _with_waves(columns: list[Column], rows: TextRows, findings: list[Finding]) -> list[Column]:
     """Columns of a LabVIEW file whose ``X_Value`` is empty, with the times that start and interval give."""
     waves = rows.head.waves
-    if not any(wave.step_s > 0 for wave in waves) or np.isfinite(columns[0].values).any():
+    if not any(step > 0 for _, _, step in waves) or np.isfinite(columns[0].values).any():
         return columns
     edges = [0, *(row for row, _ in rows.heads), columns[0].values.size]
     heads = [rows.head, *(one for _, one in rows.heads)]
     clocks = []
     for i in range(len(columns) - 1):
-        own = [one.waves[i] if i < len(one.waves) else Wave("", 0.0, 0.0) for one in heads]
+        own = [one.waves[i] if i < len(one.waves) else ("", 0.0, 0.0) for one in heads]
         starts = Stamps()
-        starts.add(wave.started for wave in own)
+        starts.add(started for started, _, _ in own)
         pieces = [
-            start + wave.first_s + wave.step_s * np.arange(b - a)
-            for start, wave, (a, b) in zip(np.nan_to_num(starts.absolute()), own, pairwise(edges), strict=True)
+            start + first + step * np.arange(b - a)
+            for start, (_, first, step), (a, b) in zip(
+                np.nan_to_num(starts.absolute()), own, pairwise(edges), strict=True
+            )
         ]
         clocks.append(np.concatenate(pieces))
     first = min(float(clock[0]) for clock in clocks)
     if any(not np.allclose(clock, clocks[0], rtol=0, atol=1e-9) for clock in clocks):
         return [replace(column, clock_s=clock - first) for column, clock in zip(columns[1:], clocks, strict=True)]
-    shown = f"{columns[0].label}: {waves[0].step_s:g} s"
+    shown = f"{columns[0].label}: {waves[0][2]:g} s"
     findings.append(Finding("time-from-step", "assumed", f"time is made from the constant interval of {shown}"))
     return [replace(columns[0], name="X_Value", values=clocks[0] - first, unit="s"), *columns[1:]]
 
