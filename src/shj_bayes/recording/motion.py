@@ -174,7 +174,7 @@ def least_return(values: FloatArray, noise: float) -> float:
     return max(limits.REVERSAL_NOISE * noise, limits.REVERSAL_RANGE * float(np.ptp(values)))
 
 
-_AHEAD = 1024  # samples looked at in one piece
+_STRETCH = 32  # candidates that are looked at together
 
 
 def hysteresis(values: FloatArray, threshold: float) -> list[int]:
@@ -182,22 +182,38 @@ def hysteresis(values: FloatArray, threshold: float) -> list[int]:
 
     Smaller movements back and forth, in the signal's unit, are no reversal.
     """
+    step = np.sign(np.diff(values))
+    moving = np.flatnonzero(step)
+    if moving.size == 0:
+        return []
+    change = np.flatnonzero(np.diff(step[moving]))
+    candidates = np.concatenate([[0], moving[change] + 1, [values.size - 1]])
+    # Of a stretch that moves by less than the threshold only its extremes count.
+    size = candidates.size // _STRETCH * _STRETCH
+    rows = values[candidates[:size]].reshape(-1, _STRETCH)
+    keep = np.ones(candidates.size, dtype=np.bool_)
+    keep[:size] = np.repeat(np.ptp(rows, axis=1) > threshold, _STRETCH)
+    for extreme in (rows.argmax(axis=1), rows.argmin(axis=1)):
+        keep[np.arange(0, size, _STRETCH) + extreme] = True
+    candidates = candidates[keep]
     found: list[int] = []
-    at = low = high = way = 0
-    while at < values.size:
-        piece = values[at : at + _AHEAD]
-        top = np.maximum.accumulate(piece).clip(min=values[high])
-        bottom = np.minimum.accumulate(piece).clip(max=values[low])
-        fell = (top - piece > threshold) & (way >= 0)
-        turned = np.flatnonzero(fell | (piece - bottom > threshold) & (way <= 0))[:1].tolist()
-        end = turned[0] + 1 if turned else piece.size
-        high = at + int(np.argmax(piece[:end])) if top[end - 1] > values[high] else high
-        low = at + int(np.argmin(piece[:end])) if bottom[end - 1] < values[low] else low
-        at += end
-        if turned:
-            found += [high if way > 0 else low] if way else []
-            way = -1 if fell[end - 1] else 1
-            low = high = at - 1
+    low = high = int(candidates[0])
+    direction = 0
+    for index, value in zip(candidates.tolist(), values[candidates].tolist(), strict=True):
+        if value > values[high]:
+            high = index
+        if value < values[low]:
+            low = index
+        if direction >= 0 and values[high] - value > threshold:
+            if direction > 0:
+                found.append(high)
+            direction, low = -1, index
+            high = index
+        elif direction <= 0 and value - values[low] > threshold:
+            if direction < 0:
+                found.append(low)
+            direction, high = 1, index
+            low = index
     return found
 
 
