@@ -195,7 +195,7 @@ def coordinates(out: Search, answer: Answer) -> tuple[DependenceRecord, ...]:
                 row,
                 direction=direction,
                 range_percent=float(np.ptp(band["mean"])),
-                period=finding.period if finding else None,
+                period=finding.curve.period if finding and finding.curve else None,
                 curve=CurveRecord(**{key: tuple(values.tolist()) for key, values in band.items()}, unit="% of Fy"),
             )
             for direction, band in bands.items()
@@ -250,8 +250,7 @@ def unknown(out: Search, answer: Answer) -> Unknown | None:
         finding = strange[0]
         band = curve_band(out, finding)
         assert band is not None
-        assert finding.curve is not None
-        curve, of = finding.curve.variant.curve, finding.member.of
+        curve, of = finding.curve, finding.member.of
         assert curve is not None
         formula = formula_of(band["at"], band["mean"], band["q05"], band["q95"], curve.over.symbol, of.unit)
         period = Period(length=curve.period, unit=of.unit, coordinate=of.coordinate) if curve.period else None

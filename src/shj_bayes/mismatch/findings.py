@@ -9,17 +9,22 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import expit, logsumexp, softmax
 
+from shj_bayes.mismatch.data import BinnedData
 from shj_bayes.mismatch.fitter import Fitter
 from shj_bayes.mismatch.hypothesis import (
     ALPHA,
+    CONSTANT,
+    DIRECTION,
     MIN_EFFECT,
     MOTION,
+    PRIOR_INCLUSION,
     SLIP,
     Candidate,
     Dependence,
     Hypothesis,
     columns_of,
     force_distance,
+    force_of,
     largest_size_of,
     replaced,
     same_twice,
@@ -28,9 +33,10 @@ from shj_bayes.mismatch.hypothesis import (
     tolerance,
     without,
 )
-from shj_bayes.mismatch.laplace import Laplace, visible
+from shj_bayes.mismatch.laplace import Laplace, visible, zero_of
 from shj_bayes.mismatch.moves import Search, beside_direction, following
 from shj_bayes.mismatch.screen import missed_by, screen
+from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import NOTHING_MISSING, SIGMA_90, DiagnosisVerdict
@@ -61,9 +67,8 @@ class FoundEffect:
     probability: float  # that the device holds it
     evidence: float  # log Bayes factor over the model without it, nats: over the base law where it is the only one
     size: float  # largest force that it makes and that the base law could not (99th percentile), as a share of Fy
-    curve: Candidate | None  # the same as a curve, where there is one
-    curve_state: Laplace | None  # the model with that curve
-    place: int  # its place among the effects of that model
+    drawn: Hypothesis | None  # the model with a curve in its place, where there is one
+    place: int  # its place among the classes of that model
     # Mechanisms of the catalogue that may have the curve, with their probabilities within the class, most probable
     # first and as many as hold 95 %; what was measured beside the force is its own name. None where no formula follows
     # the curve.
@@ -75,16 +80,14 @@ class FoundEffect:
         return bool(self.names)
 
     @property
-    def directions(self) -> dict[str, float]:
-        """Directions that have a curve of their own, with their signs."""
-        curve = self.curve.variant.curve if self.curve is not None else None
-        return {"push": 1.0, "pull": -1.0} if curve is not None and curve.sides else {"both": 1.0}
+    def curve(self) -> Curve | None:
+        """The same as a curve, where there is one."""
+        return self.drawn.members[self.place].variant.curve if self.drawn is not None else None
 
     @property
-    def period(self) -> float | None:
-        """After what the curve comes again, in the unit of its coordinate; None where it does not."""
-        curve = self.curve.variant.curve if self.curve is not None else None
-        return curve.period if curve is not None else None
+    def directions(self) -> dict[str, float]:
+        """Directions that have a curve of their own, with their signs."""
+        return {"push": 1.0, "pull": -1.0} if self.curve is not None and self.curve.sides else {"both": 1.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +117,9 @@ def answer_of(out: Search, dropped: Collection[str] = ()) -> Answer:
     for h, p in zip(ranked, probability, strict=True):
         shown = _split(out, h, dropped) if p >= 1e-6 else h
         shares = truly_there(out, shown, that_matter(out, shown)) if p >= 1e-6 else {h.key: 1.0}
+        for name in (CONSTANT, DIRECTION) if p >= 1e-6 else ():
+            if is_zero_elsewhere(out.data, shown, name):
+                shares = _doubted(shares, name)
         for key, share in shares.items():
             reduced[key] = reduced.get(key, 0.0) + float(p) * share
             best.setdefault(key, shown)
@@ -166,12 +172,22 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
     left is taken at its size in a fit without them: two classes that stand in for each other are both small.
     """
     sizes = [largest_size_of(out.data, h, i) / out.matters_of(h, i) for i in range(len(h.members))]
+    if CONSTANT in h.key:
+        i = [m.of.id for m in h.members].index(CONSTANT)
+        sizes[i] -= _made_up(out, h, i) / out.matters_of(h, i)
     if min(sizes, default=math.inf) >= 1.0:
         return h.key
     rest = h.key - {h.members[int(np.argmin(sizes))].of.id}
     if rest in out.found:
         return that_matter(out, out.found[rest])
     return frozenset(m.of.id for m, size in zip(h.members, sizes, strict=True) if size >= 1.0)
+
+
+def _made_up(out: Search, h: Hypothesis, place: int) -> float:
+    """Size of what a zero of the load cell that matters takes off a constant force, a share of Fy."""
+    zero = zero_of(h.metric or out.metric, h.state)[0] / out.data.scale_kN
+    size = h.state.values_of(h.members[place].variant.effect)["size"]
+    return min(abs(zero), abs(size)) if zero * size < 0.0 and abs(zero) >= MIN_EFFECT else 0.0
 
 
 def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozenset[str], float]:
@@ -194,6 +210,44 @@ def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozens
         split = {own | {name}: p * there for own, p in shares.items()}
         shares = split if there == 1.0 else split | {own: p * (1.0 - there) for own, p in shares.items()}
     return shares
+
+
+def is_zero_elsewhere(data: BinnedData, h: Hypothesis, name: str) -> bool:
+    """Whether a class that shifts the loops may be a force that a hypothesis adds over position or time, 0 elsewhere.
+
+    Where such a force is 0 is a convention: a curve is 0 at mid-stroke, or at the start, and may be 0 wherever the
+    constant makes up for it. A spring works about mid-stroke, or about the zero of the displacement, as it stood when
+    it was built in: in a test to one side the two differ by a constant.
+    """
+    shift = next((m.variant.effect for m in h.members if m.of.id == name), None)
+    if shift is None:
+        return False
+    history, used = data.posterior.averages[0].history, data.used > 0
+    middle_mm = float(history.motion.displacement_mm[-1] - history.position_mm[-1])
+    size_kN = h.state.values_of(shift)["size"] * data.scale_kN
+    for place, member in enumerate(h.members):
+        curve = member.variant.curve
+        if member.of.coordinate not in ("position", "time") or member.of.action != "added":
+            continue
+        added_kN = force_of(data, h, place, h.state.z[None])[0][used]
+        if curve is not None:
+            if name == CONSTANT and curve.period is None and added_kN.min() <= -size_kN <= added_kN.max():
+                return True
+        elif member.of.coordinate == "position" and middle_mm:
+            there = int(np.argmin(np.abs(data.channel("position_mm")[used] + middle_mm)))
+            if abs(size_kN + added_kN[there]) <= tolerance(data, h, place) * data.scale_kN:
+                return True
+    return False
+
+
+def _doubted(shares: Mapping[frozenset[str], float], name: str) -> dict[frozenset[str], float]:
+    """Give the shares with a class as probable as before the test, of which the test says nothing."""
+    out: dict[frozenset[str], float] = {}
+    for key, p in shares.items():
+        there = PRIOR_INCLUSION if name in key else 0.0
+        for own, part in ((key - {name}, 1.0 - there), (key, there)):
+            out[own] = out.get(own, 0.0) + p * part
+    return {key: p for key, p in out.items() if p}
 
 
 def _missed_instead(out: Search, h: Hypothesis, rest: Hypothesis, larger: Mapping[str, float]) -> float:
@@ -239,15 +293,13 @@ def _findings(
     for place, member in enumerate(h.members):
         if member.of.id not in top:
             continue
-        drawn = _as_curve(out.fitter, h, place)
         found.append(
             FoundEffect(
                 member,
                 inclusion[member.of.id],
                 h.log_weight - out.best_within(h.key - {member.of.id}),
                 size_of(out.data, h, place),
-                drawn.members[place] if drawn is not None else None,
-                drawn.state if drawn is not None else None,
+                _as_curve(out.fitter, h, place),
                 place,
                 names.get(place, ()),
             )
@@ -368,9 +420,9 @@ def curve_band(out: Search, f: FoundEffect, n: int = 61, direction: float = 1.0)
 
     Of curves for push and pull, that of a direction, 1 or -1.
     """
-    if f.curve is None or f.curve_state is None or f.curve.variant.curve is None:
+    if f.drawn is None or f.curve is None:
         return None
-    curve, state = f.curve.variant.curve, f.curve_state
+    curve, state = f.curve, f.drawn.state
     own = columns_of(out.data, state, f.place)
     share = np.linspace(0.0, 1.0, n)
     mean, cov = state.z[own], state.covariance[np.ix_(own, own)]

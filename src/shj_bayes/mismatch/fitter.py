@@ -17,6 +17,7 @@ from shj_bayes.mismatch.hypothesis import (
     Dependence,
     Hypothesis,
     Parametrisation,
+    cancel,
     columns_of,
     same_twice,
     size_weights,
@@ -87,7 +88,7 @@ class Fitter:
             weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
         except np.linalg.LinAlgError:
             return None
-        if any(self._follows_cycles(state, member) for member in members):
+        if cancel(state, members) or any(self._follows_cycles(state, member) for member in members):
             return None
         return Hypothesis(members, state, weight) if math.isfinite(weight) else None
 

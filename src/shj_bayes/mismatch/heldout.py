@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.inference.convergence import cycles_through
-from shj_bayes.mismatch.data import BinnedData, ErrorModel, ErrorParameters
+from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.findings import Answer, Reason, answer_of
 from shj_bayes.mismatch.hypothesis import ALPHA, Hypothesis, without
 from shj_bayes.mismatch.laplace import Laplace, laplace, laplace_under
@@ -139,13 +139,13 @@ class Proven:
 
     out: Search  # the search, without the hypotheses that hold what was dropped
     answer: Answer
-    dropped: tuple[DroppedMember, ...]  # in the order in which they were dropped
     fine: BinnedData  # the recordings in blocks as fine as those of a fit of the model that is shown
     # before, after: the base law in them and the model that is shown, under the noise of the latter; one state where
     # nothing is shown
     before: Laplace
     after: Laplace
     held: tuple[HeldOut, HeldOut]  # of both
+    dropped: tuple[DroppedMember, ...] = ()  # in the order in which they were dropped
 
     @property
     def gain(self) -> Gain:
@@ -160,28 +160,23 @@ def proven(out: Search, tell: Callable[[str], None] = lambda _: None) -> Proven:
     without it, and it does not come back: each is dropped once at most. What is then still missing, but has no
     dependence left that improves anything, is unknown.
     """
-    dropped: list[DroppedMember] = []
+    dropped: tuple[DroppedMember, ...] = ()
     missing = False
     while True:
         answer = answer_of(out, [one.of for one in dropped])
         tell("predicting cycles that were left out")
-        held = _LeftOut.of(out, answer)
+        shown = _left_out(out, answer)
         if not dropped:
-            missing = bool(answer.findings) and _nothing(answer) < ALPHA
-        worst = held.worst(out, answer)
+            missing = bool(answer.findings) and dict(answer.sets).get(frozenset(), 0.0) < ALPHA
+        worst = _worst(shown)
         if worst is None:
             break
         tell(f"{worst.of} does not improve cycles that were left out")
-        dropped.append(worst)
+        dropped += (worst,)
         out = _less(out, answer.shown, worst.of)
     if missing and not answer.findings and not out.chatter:  # whose teeth are in all that was found
         answer = replace(answer, verdict=DiagnosisVerdict.UNKNOWN, reason=Reason.NOT_BORNE_OUT)
-    return Proven(out, answer, tuple(dropped), held.fine, held.before, held.after, (held.base, held.shown))
-
-
-def _nothing(answer: Answer) -> float:
-    """Probability that nothing is missing."""
-    return dict(answer.sets).get(frozenset(), 0.0)
+    return replace(shown, answer=answer, dropped=dropped)
 
 
 def _less(out: Search, shown: Hypothesis, of: str) -> Search:
@@ -197,44 +192,32 @@ def _less(out: Search, shown: Hypothesis, of: str) -> Search:
     return replace(out, found=found, fitter=replace(out.fitter, metric=best.metric or out.metric))
 
 
-@dataclass(frozen=True, eq=False)
-class _LeftOut:
-    """The base law and the model of an answer, on cycles that were left out."""
+def _left_out(out: Search, answer: Answer) -> Proven:
+    """Fit the base law and the model of an answer, in blocks as fine as those of a fit, and leave cycles out."""
+    h, base, setting = answer.shown, out.found[frozenset()].state, out.metric.setting
+    fine = out.data.finer_at(h.state.model, h.state.z)
+    metric, before = laplace_under(fine, setting, base.model, base.z)
+    if not answer.findings:
+        alone = held_out(fine, metric, before)
+        return Proven(out, answer, fine, before, before, (alone, alone))
+    after = laplace_under(fine, setting, h.state.model, h.state.z)[1]
+    metric = ErrorModel(fine, setting, after.slope)
+    return Proven(out, answer, fine, before, after, (held_out(fine, metric, before), held_out(fine, metric, after)))
 
-    fine: BinnedData
-    setting: ErrorParameters
-    before: Laplace
-    after: Laplace
-    base: HeldOut
-    shown: HeldOut
 
-    @classmethod
-    def of(cls, out: Search, answer: Answer) -> "_LeftOut":
-        """Fit both, in blocks as fine as those of a fit, and leave cycles out."""
-        h, base, setting = answer.shown, out.found[frozenset()].state, out.metric.setting
-        fine = out.data.finer_at(h.state.model, h.state.z)
-        metric, before = laplace_under(fine, setting, base.model, base.z)
-        if not answer.findings:
-            alone = held_out(fine, metric, before)
-            return cls(fine, setting, before, before, alone, alone)
-        after = laplace_under(fine, setting, h.state.model, h.state.z)[1]
-        metric = ErrorModel(fine, setting, after.slope)
-        return cls(fine, setting, before, after, *(held_out(fine, metric, state) for state in (before, after)))
-
-    def worst(self, out: Search, answer: Answer) -> DroppedMember | None:
-        """Find the dependence without which what was left out is predicted best; None where each improves it."""
-        if not answer.findings:
-            return None
-        members, metric = answer.shown.members, ErrorModel(self.fine, self.setting, self.after.slope)
-        gains = []
-        for place, member in enumerate(members):
-            rest, h = self.base, replace(answer.shown, state=self.after)
-            if len(members) > 1:
-                less, z = without(self.fine, h, place)
-                state = laplace_under(self.fine, self.setting, out.fitter.model_of(less), z)[1]
-                rest = held_out(self.fine, metric, state)
-            gains.append(DroppedMember(member.of.id, Gain.of(rest, self.shown)))
-        whole = Gain.of(self.base, self.shown)
-        if all(one.gain.improves for one in gains) and not whole.is_worse:
-            return None
-        return min(gains, key=lambda one: one.gain.elpd if np.isfinite(one.gain.elpd) else -np.inf)
+def _worst(shown: Proven) -> DroppedMember | None:
+    """Find the dependence without which what was left out is predicted best; None where each improves it."""
+    if not shown.answer.findings:
+        return None
+    fine, setting, members = shown.fine, shown.out.metric.setting, shown.answer.shown.members
+    metric, gains = ErrorModel(fine, setting, shown.after.slope), []
+    for place, member in enumerate(members):
+        rest = shown.held[0]
+        if len(members) > 1:
+            less, z = without(fine, replace(shown.answer.shown, state=shown.after), place)
+            state = laplace_under(fine, setting, shown.out.fitter.model_of(less), z)[1]
+            rest = held_out(fine, metric, state)
+        gains.append(DroppedMember(member.of.id, Gain.of(rest, shown.held[1])))
+    if all(one.gain.improves for one in gains) and not shown.gain.is_worse:
+        return None
+    return min(gains, key=lambda one: one.gain.elpd if np.isfinite(one.gain.elpd) else -np.inf)

@@ -224,6 +224,14 @@ def same_twice(a: Candidate, b: Candidate) -> bool:
     return any(m.variant.curve is not None for m, _ in pairs)
 
 
+def cancel(state: Laplace, members: tuple[Candidate, ...]) -> bool:
+    """Whether a constant force and a difference of push and pull leave less than half of the smaller one together."""
+    a, b = (
+        sum(state.values_of(m.variant.effect)["size"] for m in members if m.of.id == of) for of in (CONSTANT, DIRECTION)
+    )
+    return a * b < 0.0 and abs(a + b) < 0.5 * min(abs(a), abs(b))
+
+
 MOTION = "motion"
 N_SIZES = 60  # draws from which the upper limit of a size is taken
 NO_FORCE = 1e6  # size of a draw whose force is not finite
@@ -257,13 +265,13 @@ def _sizes_at(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> Flo
     constant is as large as it is: the law makes none, also where it begins loaded by it.
     """
     if h.members[place].of.id == CONSTANT:
-        return np.asarray(np.abs(_change(data, h, place, z)[:, data.used > 0]).max(axis=1) / data.scale_kN)
+        return np.asarray(np.abs(force_of(data, h, place, z)[:, data.used > 0]).max(axis=1) / data.scale_kN)
     if h.members[place].of.action == MOTION:
         data = data.finer_at(h.state.model, h.state.z)
-    return visible(data, _law_slopes(h, data), _change(data, h, place, z).T)
+    return visible(data, _law_slopes(h, data), force_of(data, h, place, z).T)
 
 
-def _change(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
+def force_of(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
     """Force of a member for each of some parameter sets of its model, shape (m, n_law) to (m, n), kN."""
     model, effect = h.state.model, h.members[place].variant.effect
     rest = tuple(e for e in model.effects if e.id != effect.id)

@@ -12,6 +12,7 @@ from shj_bayes.mismatch.fitter import Fitter, noise_beside, noise_of_size
 from shj_bayes.mismatch.hypothesis import (
     ALPHA,
     CONSTANT,
+    DIRECTION,
     EXPLAINED,
     MIN_EFFECT,
     MOTION,
@@ -186,7 +187,7 @@ def finish(out: Search) -> Search:
         weighed = weighed.keep(out.fitter.with_own_noise(h, searched.setting))
     out = _share_noise(weighed)
     first = out.best
-    out = _without_each(out)
+    out = _offset_or_direction(_without_each(out))
     if out.best is not first:
         out = _share_noise(out)
     out = _travel_or_time(out)
@@ -202,12 +203,46 @@ def _under(out: Search, h: Hypothesis) -> Search:
 
 
 def _share_noise(out: Search) -> Search:
-    """Search for the noise of each rival from that of the best hypothesis: the most probable one may be farther."""
+    """Search for the noise of each rival from that of the best hypothesis: the most probable one may be farther.
+
+    A rival is also what comes near to the best under its noise, however far it is under the noise found for itself.
+    """
     best = out.best
     assert best.metric is not None
+    least = best.log_weight - RIVAL
+    under = _under(out, best).fitter
     for h in out.found.values():
-        if h is not best and h.log_weight > best.log_weight - RIVAL:
+        near = h.log_weight > least
+        if h is not best and (near or _reaches(under, h, least)):
             out = out.keep(out.fitter.with_own_noise(h, best.metric.setting))
+    return out if out.best is best else _share_noise(out)
+
+
+def _reaches(fitter: Fitter, h: Hypothesis, least: float) -> bool:
+    """Whether a hypothesis has a log weight of so much under the noise of a fitter."""
+    one = fitter.fitted(h.members, h.state.z, least)
+    return one is not None and one.log_weight > least
+
+
+def _offset_or_direction(out: Search) -> Search:
+    """Weigh a constant force against push and pull that differ, in what is in contention with one of them.
+
+    Both move the plateaus; only a second run of another sliding force tells them apart, and the zero of the load cell
+    may be another one there. A search that has found either has no need of the other, and may never have fitted it.
+    """
+    for h in sorted(out.found.values(), key=lambda h: -h.log_weight):
+        own, key = {CONSTANT, DIRECTION} & h.key, h.key ^ {CONSTANT, DIRECTION}
+        if len(own) != 1 or h.log_weight < out.best.log_weight - RIVAL or h.metric is None:
+            continue
+        known, (name,), (other,) = out.found.get(key), own, {CONSTANT, DIRECTION} - own
+        if other not in out.fitter.classes or (known and known.log_weight > h.log_weight - RIVAL):
+            continue
+        fitter = _under(out, h).fitter
+        rest, z = without(out.data, h, [m.of.id for m in h.members].index(name))
+        forms = fitter.forms_of(fitter.classes[other], rest, z)
+        new = fitter.best_fitted(((*rest, form), form) for form in forms)
+        if new is not None:
+            out = out.keep(fitter.with_own_noise(new, h.metric.setting))
     return out
 
 

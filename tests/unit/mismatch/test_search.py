@@ -7,9 +7,9 @@ import pytest
 
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.data import ErrorModel, data_of
-from shj_bayes.mismatch.findings import answer_of, curve_band
+from shj_bayes.mismatch.findings import answer_of, curve_band, that_matter
 from shj_bayes.mismatch.fitter import Fitter
-from shj_bayes.mismatch.hypothesis import classes
+from shj_bayes.mismatch.hypothesis import CONSTANT, DIRECTION, PRIOR_INCLUSION, cancel, classes
 from shj_bayes.mismatch.moves import RIVAL, moving, refit_noise, replace_by_formula
 from shj_bayes.mismatch.periodic import follows_cycles, of_whole_cycles
 from shj_bayes.mismatch.search import search
@@ -121,6 +121,47 @@ def test_a_ripple_shorter_than_the_blocks_is_position_with_its_period(period_mm)
     assert all(member.of.coordinate == "position" for member in out.best.members)
     assert out.best.members[0].variant.curve.period == pytest.approx(period_mm, rel=0.01)
     assert out.chatter is None
+
+
+@pytest.mark.parametrize(("size", "alone"), [(0.1, True), (0.02, False)])
+def test_a_constant_force_is_weighed_against_push_and_pull_that_differ(trials, size, alone):
+    """Both shift the loops; a second run of less friction tells them apart where its zero cannot make up for it."""
+    answer = answer_of(_searched(trials, {"asymmetry_shift": {"size": size}}, ("direction", "constant")))
+    sets = dict(answer.sets)
+    assert sets[frozenset({DIRECTION})] > (0.95 if alone else 0.05)
+    assert (sets[frozenset({CONSTANT})] > 0.05) != alone
+    assert answer.verdict == ("named" if alone else "family")
+
+
+def test_a_constant_and_a_difference_of_push_and_pull_that_cancel_are_no_hypothesis(trials):
+    out = _searched(trials, {"asymmetry_shift": {"size": 0.1}}, ("direction", "constant"))
+    both = [out.fitter.candidates_of(name)[0] for name in (DIRECTION, CONSTANT)]
+    state = out.fitter.fitted(tuple(both), np.concatenate([out.data.z, [1.0, 0.5]])).state
+    for size, other, expected in ((0.3, -0.27, True), (0.3, -0.1, False), (0.3, 0.27, False)):
+        z = state.z.copy()
+        for effect, value in zip(state.model.effects, (size, other), strict=True):
+            z[state.model.law_names.index(f"{effect.id}.size")] = effect.parameters[0].to_free(np.asarray(value))
+        assert cancel(replace(state, z=z), tuple(both)) == expected
+
+
+@pytest.mark.parametrize("middle_mm", [0.0, 40.0])
+def test_a_spring_may_be_free_where_the_displacement_is_zero(middle_mm):
+    """About mid-stroke it is the same with a constant force beside it; to one side no test tells which it is."""
+    rng, time = np.random.default_rng(8), np.arange(0.0, 200.0, 0.1)
+    x = middle_mm * np.clip(time / 20.0, 0.0, 1.0) + 40.0 * np.sin(2 * np.pi * time / 25.0) * np.clip(time / 20.0, 0, 1)
+    motion = motion_of(Recording(time, x, np.zeros(time.size)))
+    (history,) = histories([time], [motion])
+    force = force_with_effects(history, Base(6.5, 20.0, 20.0, 0.0, 20.0), [], variant="continuous")
+    force += 0.03 * x + (0.0 if middle_mm else 2.0) + 0.05 * rng.standard_normal(time.size)
+    data = data_of(runs_of([Recording(time, x, force)]), DeviceModel(1, read_priors("general"), variant="continuous"))
+    out = search(data, [one for one in classes() if str(one.id) in ("added over position", CONSTANT)])
+    assert out.best.key == {"added over position", CONSTANT}
+    constant = dict(answer_of(out).sets)[out.best.key]
+    assert constant == pytest.approx(PRIOR_INCLUSION if middle_mm else 1.0, abs=1e-3)
+    zeros = (-0.999 * out.best.state.values_of(catalogue()["load_offset"])["size"] * data.scale_kN, 0.01)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("shj_bayes.mismatch.findings.zero_of", lambda *_: zeros)
+        assert that_matter(out, out.best) == {"added over position"}
 
 
 @pytest.fixture

@@ -10,6 +10,11 @@ def act(history: History, values: Values, base: Base) -> Contribution:
     return Contribution(clamping=1.0 + values["size"] * history.direction)
 
 
+def _shift(history: History, values: Values, base: Base) -> Contribution:
+    """Add a share of Fy of the run: what every contact does by itself moves the loop as a whole."""
+    return Contribution(added_kN=base.Fy * values["size"])
+
+
 EFFECT = Effect(
     id="asymmetry",
     family="even_in_direction",
@@ -25,5 +30,13 @@ EFFECT = Effect(
     act=act,
     acts=(("capacity", "direction"),),
     source="Assumed form: one factor for each direction, the least that makes push and pull differ.",
+    start={"size": (0.05,)},
+).with_form(
+    "shift",
+    statement="The whole loop is shifted by {size:+.0%} of Fy: each contact slides later in one direction.",
+    equation="F -> F + a Fy, Fy that of the run",
+    parameters=(Prior("size", "1", "normal", 0.0, 0.15, "As where capacity follows the direction at once."),),
+    act=_shift,
+    source="Masing's rule for contacts in parallel, each of which slides at 1 + a in push and at 1 - a in pull.",
     start={"size": (0.05,)},
 )
