@@ -90,7 +90,7 @@ def one_normal(values: FloatArray, log_prior: FloatArray) -> Likelihood:
 
 def few_normals(values: FloatArray, log_prior: FloatArray) -> Likelihood:
     """Likelihood as shipped."""
-    return of_draws("Fy", np.exp(values), log_prior).likelihood
+    return of_draws("Fy", np.exp(values), log_prior)
 
 
 RECIPES = (
@@ -217,7 +217,7 @@ def coverage(
         mu = rng.normal(np.log(80.0), 0.3, n_sets)
         tau = spread * np.exp(unequal * rng.standard_normal(n_sets))
         printed = 5.0 * np.maximum(np.round(np.exp(rng.normal(mu, tau, (n_devices, n_sets))) / 5.0), 1.0)
-        sets = [[Rounded.to_step(v, 5.0).of("Fy").likelihood for v in printed[:, s]] for s in range(n_sets)]
+        sets = [[Rounded.to_step(v, 5.0).of("Fy") for v in printed[:, s]] for s in range(n_sets)]
         stream = np.random.SeedSequence([seed, n_devices, c])
         fit = fit_quantity("Fy", sets, population_prior("Fy"), stream)
         for s in range(n_sets):

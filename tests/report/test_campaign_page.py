@@ -38,7 +38,7 @@ def test_page_is_safe_and_links_stay_below(page: Page, hostile_name: str) -> Non
 def test_new_device_bands_are_those_of_the_population(page: Page, hostile_name: str) -> None:
     result = population((hostile_name, "other"))
     exact = {attrs["value"] for attrs in page.all("data")}
-    for row in new_device_table(result).to_dict("records"):
+    for row in new_device_table(result):
         if row["quantity"] in sets.SHOWN and row["set"] != ANY_SET:
             assert repr(float(row["q50"])) in exact
 

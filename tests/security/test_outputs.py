@@ -28,7 +28,7 @@ from shj_bayes.mismatch.diagnosis import DiagnosisResult
 from shj_bayes.options import FitOptions
 from shj_bayes.population.device import published_devices
 from shj_bayes.population.hierarchy import fit_population
-from shj_bayes.population.results import load_population, safe_cell, write_population
+from shj_bayes.population.results import load_population, write_population
 from shj_bayes.report.campaign import render_campaign
 from shj_bayes.report.device import render_device
 from shj_bayes.report.diagnosis_page import render_diagnosis
@@ -37,6 +37,7 @@ from shj_bayes.results import store as store_file
 from shj_bayes.results.campaign import safe_folder
 from shj_bayes.results.codec import to_json
 from shj_bayes.results.fit import FitRecord
+from shj_bayes.results.tables import safe_cell
 
 ANYWHERE = re.compile(
     r"""(?:src|href|action|data|poster|background)\s*=\s*["']?\s*(?!data:|#)(?:[a-z]+:)?//|url\((?!["']?(?:data:|#))|@import""",

@@ -1,6 +1,5 @@
 """From finished devices, or from the published tables, to population, comparison and margins, with their pages."""
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -8,7 +7,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from shj_bayes._util.files import need_population, shipped, write_text
 from shj_bayes.app.campaign import WRITES, Outcome
@@ -29,7 +27,7 @@ from shj_bayes.margins.export import (
     tcl_script,
     write_loops,
 )
-from shj_bayes.margins.files import CHOSEN, Tests, design_table, kept_pool, write_margins, write_workbook
+from shj_bayes.margins.files import CHOSEN, Tests, design_table, kept_pool, write_margins
 from shj_bayes.margins.history import LEEWAY, LoadingHistory, left_out_words, loading_history, untested
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, Sheet, margins
 from shj_bayes.margins.specimen import (
@@ -48,16 +46,17 @@ from shj_bayes.population.compare import ROPE, Contrast, compare, members, row_o
 from shj_bayes.population.device import PUBLISHED, Claim, common, device_from_fit, published_devices, tested_by_fit
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, QuantityPosterior, fit_population
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
-from shj_bayes.population.results import PopulationRecord, load_population, record_of, safe_cell, write_population
+from shj_bayes.population.results import PopulationRecord, load_population, record_of, write_population
 from shj_bayes.report.campaign import render_campaign, render_tables
 from shj_bayes.report.campaign_physics import statements
 from shj_bayes.report.margins_page import band_words, extrapolated_words, render_margins, shown_cards, told
 from shj_bayes.report.sets import FORCES, SHOWN, contrast_words, curve_words, multiplicity_words, name_of, pairs
 from shj_bayes.report.words import digits
 from shj_bayes.results.campaign import WITH_SET, CampaignRecord, Connection, read_campaign
-from shj_bayes.results.codec import to_json
+from shj_bayes.results.codec import json_text, to_json
 from shj_bayes.results.diagnosis import DiagnosisVerdict
 from shj_bayes.results.store import digests, has, made
+from shj_bayes.results.tables import Cells, write_workbook
 
 
 def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progress: bool = False) -> dict[str, Any]:
@@ -120,16 +119,14 @@ def machine_record(population: PopulationResult, drawn: dict[str, Any]) -> dict[
 
 def band_text(population: PopulationResult) -> str:
     """Bands of a new device, one line per set and quantity."""
-    table = new_device_table(population)
     lines = ["A NEW device of each set: 5 %, 50 %, 95 %"]
     enough = sets_suffice(len(population.sets))
-    if not enough:
-        table = table[table["set"] != ANY_SET]
-    for row in table[table["quantity"].isin(SHOWN)].itertuples():
-        unit = "" if row.unit == "1" else f" {row.unit}"
-        numbers = f"{row.q05:10.4g} {row.q50:10.4g} {row.q95:10.4g}{unit}"
-        devices = f"{row.n_devices} device{'' if row.n_devices == 1 else 's'}"
-        lines.append(f"  {name_of(str(row.set)):34.34}{devices:12}{row.quantity:10}{numbers}")
+    for row in new_device_table(population):
+        if row["quantity"] in SHOWN and (enough or row["set"] != ANY_SET):
+            unit = "" if row["unit"] == "1" else f" {row['unit']}"
+            numbers = f"{row['q05']:10.4g} {row['q50']:10.4g} {row['q95']:10.4g}{unit}"
+            devices = f"{row['n_devices']} device{'' if row['n_devices'] == 1 else 's'}"
+            lines.append(f"  {name_of(row['set']):34.34}{devices:12}{row['quantity']:10}{numbers}")
     return "\n".join(lines if enough else [*lines, f"  {never_tested_words(len(population.sets))}"])
 
 
@@ -218,8 +215,8 @@ COLUMNS = (
 def write_comparison(record: dict[str, Any], folder: Path) -> Path:
     """Write ``comparison.json``, ``.csv``, ``comparison-devices.csv`` and both as ``.xlsx``; gives the workbook."""
     folder.mkdir(parents=True, exist_ok=True)
-    contrasts = pd.DataFrame([{k: v for k, v in c.items() if k != "pairs"} for c in record["contrasts"]])
-    devices = pd.DataFrame(
+    contrasts = Cells.of([{k: v for k, v in c.items() if k != "pairs"} for c in record["contrasts"]])
+    devices = Cells.of(
         [
             {"quantity": c["quantity"], "unit": c["difference_unit"], "pair": i, "side": side,
              "set": pair[f"set_{side}"], "device": device, "value": value, "observed_of_pair": pair["observed"]}
@@ -230,11 +227,10 @@ def write_comparison(record: dict[str, Any], folder: Path) -> Path:
         ]
     )  # fmt: skip
     notes = [record["multiplicity"], *(c["sentence"] for c in record["curves"])]
-    tables = {"Comparison": contrasts, "Devices": devices, "To mind": pd.DataFrame({"to mind": notes})}
-    pages = {name: page.map(safe_cell) for name, page in tables.items()}
-    write_text(folder / "comparison.json", json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-    write_text(folder / "comparison.csv", pages["Comparison"].to_csv(index=False, lineterminator="\n"))
-    write_text(folder / "comparison-devices.csv", pages["Devices"].to_csv(index=False, lineterminator="\n"))
+    pages = {"Comparison": contrasts, "Devices": devices, "To mind": Cells(("to mind",), [[note] for note in notes])}
+    write_text(folder / "comparison.json", json_text(record, ascii_only=False, allow_nan=False) + "\n")
+    write_text(folder / "comparison.csv", contrasts.to_csv())
+    write_text(folder / "comparison-devices.csv", devices.to_csv())
     write_workbook(pages, folder / "comparison.xlsx")
     return folder / "comparison.xlsx"
 
@@ -256,7 +252,7 @@ def compared_pairs(folder: Path, result: PopulationResult) -> tuple[tuple[CurveC
     path = folder / "comparison-curves.csv"
     path.unlink(missing_ok=True)
     if found:
-        write_text(path, pd.DataFrame([row for curve in found for row in curve.rows()]).to_csv(index=False))
+        write_text(path, Cells.of([row for curve in found for row in curve.rows()]).to_csv())
     return found, pooled_forces(folder, result, specimens)
 
 
@@ -542,17 +538,17 @@ def margin_text(sheet: Sheet) -> str:
     lines = ["", *card_lines(sheet), LEGEND]
     for name in sheet.spoken:
         shown = "(all devices)" if name == ANY_SET else name
-        part = table[table["set"] == shown]
+        part = [line for line in table if line["set"] == shown]
         lines += ["", f"{name_of(name)}: {_behind(sheet, name)}"]
         lines.append(
             f"  {'':16}{'new device':>28}{'EN 1990 X_k':>22}{'EN 1990 X_d':>22}{'95/95 one-sided':>22}{'nu':>7}"
         )
         complete = True
-        for line in part.to_dict("records"):
+        for line in part:
             ends = [(line.get(f"{head}, low", math.nan), line.get(f"{head}, high", math.nan)) for head in CHOSEN[1:]]
             complete &= bool(np.isfinite(ends).all())
             pairs = [f"{digits(low)} to {digits(high)}" if math.isfinite(low + high) else "-" for low, high in ends]
-            low, middle, high = band_words(index, name, str(line["quantity"]))
+            low, middle, high = band_words(index, name, line["quantity"])
             band = f"{middle} ({low} to {high})"
             unit = "" if line["unit"] == "1" else f" {line['unit']}"
             head, nu = f"{line['quantity']}{unit}", line.get(f"{CHOSEN[1]}, degrees of freedom", "-")

@@ -14,23 +14,24 @@ from shj_bayes.margins.spread import HIGH, LOW, MIDDLE
 from shj_bayes.model.parameters import base_of
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.predict import NewDevice, new_device
-from shj_bayes.population.quantities import HIGHEST, LEAST, LEVELS, LOWEST, MOST, THIRD_CYCLE, FloatArray, stream
+from shj_bayes.population.quantities import (
+    HIGHEST,
+    LEAST,
+    LEVELS,
+    LOWEST,
+    MOST,
+    THIRD_CYCLE,
+    FloatArray,
+    stream,
+)
 
 FEW = 3
 DEFAULT = "default"
+DEGRADATION = "degradation"
 PredictiveDevices = Mapping[str, NewDevice]
 """New devices of one set by prior of the spread, the default first."""
 SIDES = {LOW: 0.05, MIDDLE: 0.5, HIGH: 0.95}
-BATCHES = 10
-"""Parts of the draws, one behind the other, whose quantiles tell how well that of all draws is known."""
 Value = TypeVar("Value", float, tuple[float, float])
-
-
-def quantile_and_error(draws: FloatArray, level: float) -> tuple[float, float]:
-    """Quantile, and its standard error from the number of draws (batch means)."""
-    parts = draws[: draws.size // BATCHES * BATCHES].reshape(BATCHES, -1)
-    spread = np.std(np.quantile(parts, level, axis=1), ddof=1) if parts.size else 0.0
-    return float(np.quantile(draws, level)), float(spread / np.sqrt(BATCHES))
 
 
 def predictive_devices(result: PopulationResult, set_name: str) -> dict[str, NewDevice]:
@@ -45,6 +46,8 @@ def _as_read(device: NewDevice, result: PopulationResult) -> NewDevice:
         rng = np.random.default_rng(stream(result.seed, "reading", device.set_name, q))
         error = reading_error(result, device.set_name, q)
         draws[q] = values * np.exp(error * rng.standard_normal(values.size))
+    if "ratio" in draws:
+        draws[DEGRADATION] = 1.0 - draws["ratio"]
     return replace(device, draws=draws)
 
 
@@ -111,7 +114,7 @@ def force_ends(
     names = sorted((n for n in devices[DEFAULT].draws if base_of(n) in RANK), key=lambda n: RANK[base_of(n)])
 
     def own(name: str, side: str, level: float) -> float:
-        by_prior = {label: float(np.quantile(d.draws[name], level)) for label, d in devices.items()}
+        by_prior = {label: d.ordered(name).quantile(level) for label, d in devices.items()}
         return least_favourable(by_prior, side, 0 if set_name == ANY_SET else tested.get(name, 0))
 
     alone = {side: {n: own(n, side, level) for n in names} for side, level in levels.items()}
@@ -287,7 +290,7 @@ def design_basis(
     errors = {}
     for side, name in ((LOW, LOWEST), (MIDDLE, THIRD_CYCLE), (HIGH, HIGHEST)):
         level = levels_of(reliability)[side]
-        ends = {label: quantile_and_error(device.draws[name], level) for label, device in devices.items()}
+        ends = {label: device.ordered(name).with_error(level) for label, device in devices.items()}
         value, error = least_favourable(ends, side, own)
         errors[side] = error / value if side != MIDDLE or stated is None else 0.0
     return DesignBasis(*nominal, force, environment(result, set_name), errors)

@@ -15,10 +15,8 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from string import Template
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
-import pandas as pd
 from scipy import optimize
 from scipy.special import hyp2f1
 
@@ -39,8 +37,8 @@ from shj_bayes.model.law import BETA_RANGE, work_between
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.predict import N_POINTS, LoopBand, new_device, sets_suffice
 from shj_bayes.population.quantities import LEVELS, FloatArray, band_of
-from shj_bayes.population.results import safe_cell
 from shj_bayes.results.campaign import Connection
+from shj_bayes.results.tables import Cells
 
 LOWER, UPPER = "lower", "upper"
 PROGRAMS = ("opensees", "sap2000", "etabs")
@@ -154,11 +152,11 @@ def wen_exponent(beta: float) -> float:
     return float(optimize.brentq(short_by, 1.0, LARGEST_EXPONENT))
 
 
-def link_table(bounds: Sequence[Bound]) -> pd.DataFrame:
+def link_table(bounds: Sequence[Bound]) -> Cells:
     """One line per set and bound; columns as in ``HELP``."""
     rows = [
         (
-            safe_cell(b.set_name),
+            b.set_name,
             b.bound,
             b.n_devices,
             float(f"{b.K_kN_mm:.5g}"),
@@ -172,7 +170,7 @@ def link_table(bounds: Sequence[Bound]) -> pd.DataFrame:
         )
         for b in bounds
     ]
-    return pd.DataFrame(rows, columns=list(HELP))
+    return Cells(tuple(HELP), rows)
 
 
 def link_csv(bounds: Sequence[Bound], cycle: str, left_out: Sequence[str] = ()) -> str:
@@ -180,7 +178,7 @@ def link_csv(bounds: Sequence[Bound], cycle: str, left_out: Sequence[str] = ()) 
     head = [f"# {column}: {words}" for column, words in HELP.items()]
     head.append(f"# cycle of the effective values: {cycle}. Not carried: speed, loss of force with travel.")
     head += [f"# {plain(note)}" for note in left_out]
-    return "\n".join(head) + "\n" + link_table(bounds).to_csv(index=False, lineterminator="\n")
+    return "\n".join(head) + "\n" + link_table(bounds).to_csv()
 
 
 HARDENING = 1e-5
@@ -345,17 +343,14 @@ def write_loops(bands: Sequence[LoopBand], folder: Path) -> Path | None:
     if not bands:
         path.unlink(missing_ok=True)
         return None
-    parts = []
-    for band in bands:
-        columns: dict[str, Any] = {"set": safe_cell(band.set_name), "n_devices": band.n_devices, "run": band.run}
-        columns |= {"amplitude_mm": band.amplitude_mm, "peak_speed_mm_s": band.peak_speed_mm_s}
-        columns["displacement_mm"] = band.displacement_mm
-        for side, force in (("push", band.push), ("pull", band.pull)):
-            for level, values in zip(("q05", "q50", "q95"), force, strict=True):
-                columns[f"{side}_{level}_kN"] = np.round(values, 4)
-        columns["law"] = band.law
-        parts.append(pd.DataFrame(columns))
-    write_text(path, pd.concat(parts).to_csv(index=False, lineterminator="\n"))
+    heads = ["set", "n_devices", "run", "amplitude_mm", "peak_speed_mm_s", "displacement_mm"]
+    heads += [f"{side}_{level}_kN" for side in ("push", "pull") for level in ("q05", "q50", "q95")]
+    rows = [
+        (band.set_name, band.n_devices, band.run, band.amplitude_mm, band.peak_speed_mm_s, *numbers, band.law)
+        for band in bands
+        for numbers in np.column_stack([band.displacement_mm, *band.push.round(4), *band.pull.round(4)]).tolist()
+    ]
+    write_text(path, Cells((*heads, "law"), rows).to_csv())
     return path
 
 
@@ -419,8 +414,8 @@ def draw_devices(
 def draws_csv(drawn: Sequence[Drawn], speed_mm_s: float) -> str:
     """Drawn devices as CSV: one line a device, columns as in ``HEADS``."""
     rate = 1.0 / (MIDDLE_SPEED * speed_mm_s)
-    rows = [(safe_cell(d.set_name), *astuple(d)[1:], rate) for d in drawn]
-    return pd.DataFrame(rows, columns=list(HEADS)).to_csv(index=False, lineterminator="\n", float_format="%.6g")
+    rows = [(d.set_name, d.number, *(f"{x:.6g}" for x in (*astuple(d)[2:], rate))) for d in drawn]
+    return Cells(HEADS, rows).to_csv()
 
 
 def draws_script(

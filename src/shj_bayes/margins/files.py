@@ -1,20 +1,17 @@
 """Margins as files: everything as CSV, Excel and JSON, a short table for the terminal, and one card a set."""
 
-import io
 import json
 import math
-import re
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
-from shj_bayes._util.files import damage_told, replacing, write_text
+from shj_bayes._util.files import damage_told, write_text
 from shj_bayes.errors import PopulationError
+from shj_bayes.margins.codes.en15129 import COMBINATION, LBDP, UBDP, kind_of
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet, pool
 from shj_bayes.margins.spread import FACTORS, HIGH, LOW, MIDDLE, V_BETWEEN, V_COMMON, V_KNOWN, V_UNKNOWN, Key, Margin
 from shj_bayes.margins.uses import (
@@ -33,14 +30,14 @@ from shj_bayes.margins.uses import (
     WANTED_CAPACITY,
     WANTED_CLAMPING,
 )
-from shj_bayes.margins.virtual_test import TABLE, CyclePoint, VirtualTestResult, over_amplitude
-from shj_bayes.population.device import RangeTested
+from shj_bayes.margins.virtual_test import TABLE, VirtualTestResult
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.quantities import HIGHEST, LOWEST
-from shj_bayes.population.results import PopulationRecord, draws_of, fits_of, safe_cell
+from shj_bayes.population.results import PopulationRecord, draws_of, fits_of
 from shj_bayes.results import codec
 from shj_bayes.results.campaign import Connection
 from shj_bayes.results.store import digest_of, package, put_back, read_arrays, taken_out, write_arrays
+from shj_bayes.results.tables import Cells, write_workbook
 
 WAYS = (V_KNOWN, V_COMMON, V_UNKNOWN, V_BETWEEN)
 """Ways to come by the spread, the one to be shown first."""
@@ -67,7 +64,7 @@ LINES = (
     ("nominal", "", "", NOMINAL, ""),
     ("ASCE 7: two analyses", "18.2.4; ageing in it", f"{ASCE} lower bound force", "", f"{ASCE} upper bound force"),
     ("ASCE 7: lambda on nominal", "18.2.4.5", f"lambda_min {FLOOR}", "", f"lambda_max {FLOOR}"),
-    ("EN 15129: LBDP, UBDP", "EN 1998-2 Annex J; ageing in it", "EN 15129 LBDP", "", "EN 15129 UBDP"),
+    ("EN 15129: LBDP, UBDP", "EN 1998-2 Annex J; ageing in it", LBDP, "", UBDP),
     ("NZ: phi, phi_o on nominal", "", "phi equivalent, first run", "", "phi_o equivalent"),
     ("NZ: phi, second event", "", "phi equivalent, after a first earthquake", "", ""),
     ("EN 1990: X_k", "D7.2; divide the lower one by gamma_m", CHARACTERISTIC, "", CHARACTERISTIC),
@@ -77,14 +74,11 @@ LINES = (
     ("initial stiffness", "", *STIFFNESS),
 )
 Tests = tuple[VirtualTestResult, ...]
-SCHEMA: Literal["shj-bayes/margins/1"] = "shj-bayes/margins/1"
+SCHEMA = "shj-bayes/margins/1"
 STEM = "margins"
 HEADS = {"set_name": "set", "degrees": "degrees_of_freedom"}
 """Columns whose name in a file says more than the one in the code."""
-WIDTH_ROWS, WIDEST = 200, 60
-"""Rows of a workbook that the width of a column is taken from, and most of it in characters."""
-EPOCH = (2000, 1, 1, 0, 0, 0)
-_CLOCK = re.compile(rb"(?<=W3CDTF\">)[^<]*")  # in the properties of a workbook
+CARD_HEADS = ("set", "use", *SIDES, "unit", "clause", "formula", "warning")
 
 
 @dataclass(frozen=True)
@@ -97,39 +91,42 @@ class CardLine:
     middle: Margin | None
     high: Margin | None  # for the forces on what is connected
 
+    @property
+    def values(self) -> dict[str, Margin]:
+        """Margins that there are, by side."""
+        return {side: row for side, row in zip(SIDES, (self.low, self.middle, self.high), strict=True) if row}
 
-@dataclass(frozen=True)
-class Card:
-    """What a designer takes of one set."""
-
-    set_name: str
-    facts: tuple[tuple[str, str], ...]  # what it is, what was tested, what it holds for
-    lines: tuple[CardLine, ...]
+    def entry(self, set_name: str) -> dict[str, Any]:
+        """Line of the card of a set in files, its keys those of `CARD_HEADS`."""
+        rows = self.values.values()
+        said = dict.fromkeys(row.formula for row in rows)
+        warned = dict.fromkeys(row.warning for row in rows if row.warning)
+        return {
+            "set": set_name,
+            "use": self.use,
+            **{side: _finite(self.values[side].value) if side in self.values else None for side in SIDES},
+            "unit": next(iter(rows)).unit,
+            "clause": self.clause,
+            "formula": "; ".join(said),
+            "warning": "; ".join(warned),
+        }
 
 
 def shown(index: Mapping[Key, Margin], name: str, quantity: str, kind: str, side: str) -> Margin | None:
-    """Look up a margin, by the first way to come by the spread where there are several."""
-    kinds = (kind, *(f"{kind}, {way}" for way in WAYS))
+    """Look up a margin, by the first way to come by the spread where there are several, of any importance class."""
+    kinds = (kind, *(f"{kind}, {way}" for way in WAYS), *(kind_of(kind, one) for one in COMBINATION))
     return next((index[name, quantity, k, side] for k in kinds if (name, quantity, k, side) in index), None)
 
 
-def cards(sheet: Sheet) -> tuple[Card, ...]:
-    """Give the card of each set that the sheet tells of."""
-    index = {(r.set_name, r.quantity, r.kind.partition(", importance")[0], r.side): r for r in sheet.rows}
-    return tuple(
-        Card(name, tuple(_facts(sheet, name, index)), tuple(_lines(name, index, sheet))) for name in sheet.spoken
-    )
-
-
-def _lines(name: str, index: Mapping[Key, Margin], sheet: Sheet) -> Iterator[CardLine]:
+def card_of(sheet: Sheet, name: str) -> Iterator[CardLine]:
+    """Give the lines of the card of a set: what a designer takes of it."""
     for use, clause, *kinds in LINES:
-        low, middle, high = (shown(index, name, _quantity(k, s), k, s) for k, s in zip(kinds, SIDES, strict=True))
-        rows = [row for row in (low, middle, high) if row]
-        if any(math.isfinite(row.value) or not sheet.withheld for row in rows):
-            said = middle.formula if middle and use == "nominal" else clause
+        found = [shown(sheet.by_key, name, _quantity(k, s), k, s) for k, s in zip(kinds, SIDES, strict=True)]
+        if any(row and (math.isfinite(row.value) or not sheet.withheld) for row in found):
+            said = found[1].formula if found[1] and use == "nominal" else clause
             named = use.replace("all conn", f"{sheet.together} conn")
             named = named.removesuffix(": use these two") if sheet.extrapolated else named
-            yield CardLine(named, said, low, middle, high)
+            yield CardLine(named, said, *found)
 
 
 def _quantity(kind: str, side: str) -> str:
@@ -139,7 +136,8 @@ def _quantity(kind: str, side: str) -> str:
     return "K" if kind in STIFFNESS else "force"
 
 
-def _facts(sheet: Sheet, name: str, index: Mapping[Key, Margin]) -> Iterator[tuple[str, str]]:
+def facts_of(sheet: Sheet, name: str) -> Iterator[tuple[str, str]]:
+    """Say what a set is, what was tested, and what its card holds for: heads and words."""
     if name == ANY_SET:
         yield "what", f"a set never tested, from {sheet.n_sets} tested sets"
     else:
@@ -159,7 +157,7 @@ def _facts(sheet: Sheet, name: str, index: Mapping[Key, Margin]) -> Iterator[tup
                 "check slot and bolt, and where displacement was measured",
             )
     yield "holds for", f"{sheet.share} of new devices {sheet.holds}, in {sheet.history}"
-    age = index.get((name, "force", "lambda_ae,min", LOW))
+    age = sheet.by_key.get((name, "force", "lambda_ae,min", LOW))
     if age is not None:
         yield "ageing", f"only in ASCE 7 and EN 15129: {age.inputs}"
 
@@ -184,106 +182,37 @@ def connection_words(connection: Connection) -> str:
     return ", ".join(filter(None, parts)) or "as tested; what it is can be said in [set.connection] of the manifest"
 
 
-def to_table(sheet: Sheet) -> pd.DataFrame:
-    """Every margin, one line each; names made safe for spreadsheets."""
-    table = pd.DataFrame([vars(row) for row in sheet.rows])
-    return table.rename(columns=HEADS).map(safe_cell)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MarginEntry:
-    """A margin; what cannot be given, or does not apply, is null."""
-
-    set: str
-    quantity: str
-    method: str
-    kind: str
-    side: str
-    value: float | None
-    unit: str
-    n_devices: int
-    degrees_of_freedom: Any  # "known" where they are infinite
-    clause: str
-    formula: str
-    inputs: str
-    purpose: str
-    note: str
-    warning: str
-    monte_carlo_error: float | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class CardEntry:
-    """A line of the card of a set: a use, and the values that serve it."""
-
-    set: str
-    use: str
-    low: float | None
-    middle: float | None
-    high: float | None
-    unit: str
-    clause: str
-    formula: str
-    warning: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class MarginsRecord:
-    """Content of ``margins.json``."""
-
-    FILE: ClassVar[str] = "margins.json"
-
-    schema: Literal["shj-bayes/margins/1"] = SCHEMA
-    history: str
-    tested: RangeTested | None
-    extrapolated: bool
-    reliability: float
-    facts: Mapping[str, Mapping[str, str]]
-    cards: tuple[CardEntry, ...]
-    warnings: tuple[str, ...]
-    diagnoses: tuple[str, ...]
-    margins: tuple[MarginEntry, ...]
-    over_amplitude: tuple[CyclePoint, ...]
+def to_table(sheet: Sheet) -> Cells:
+    """Every margin, one line each."""
+    heads = tuple(HEADS.get(f.name, f.name) for f in fields(Margin))
+    numbers = ("value", "degrees")  # some are whole
+    return Cells(heads, [[float(v) if k in numbers else v for k, v in vars(row).items()] for row in sheet.rows])
 
 
 def to_json(sheet: Sheet) -> dict[str, Any]:
     """Content of ``margins.json``; infinite degrees of freedom read "known", what does not apply is null."""
-    found = cards(sheet)
-    record = MarginsRecord(
-        history=sheet.history,
-        tested=sheet.tested,
-        extrapolated=sheet.extrapolated,
-        reliability=sheet.reliability,
-        facts={card.set_name: dict(card.facts) for card in found},
-        cards=tuple(line for card in found for line in card_entries(card)),
-        warnings=sheet.warnings,
-        diagnoses=sheet.diagnoses,
-        margins=tuple(map(_entry, sheet.rows)),
-        over_amplitude=over_amplitude(sheet.tests),
-    )
-    written: dict[str, Any] = codec.to_json(record)
-    return written
+    return {
+        "schema": SCHEMA,
+        "history": sheet.history,
+        "tested": codec.to_json(sheet.tested),
+        "extrapolated": sheet.extrapolated,
+        "reliability": sheet.reliability,
+        "facts": {name: dict(facts_of(sheet, name)) for name in sheet.spoken},
+        "cards": [line.entry(name) for name in sheet.spoken for line in card_of(sheet, name)],
+        "warnings": list(sheet.warnings),
+        "diagnoses": list(sheet.diagnoses),
+        "margins": [_entry(row) for row in sheet.rows],
+        "over_amplitude": codec.to_json(sheet.over_amplitude),
+    }
 
 
-def _entry(row: Margin) -> MarginEntry:
-    values: dict[str, Any] = {HEADS.get(f.name, f.name): getattr(row, f.name) for f in fields(row)}
-    values["degrees_of_freedom"] = "known" if math.isinf(row.degrees) else row.degrees
-    values |= {k: None for k, v in values.items() if isinstance(v, float) and not math.isfinite(v)}
-    return MarginEntry(**values)
+def _entry(row: Margin) -> dict[str, Any]:
+    values = {HEADS.get(key, key): _finite(value) for key, value in vars(row).items()}
+    return values | {"degrees_of_freedom": "known"} if math.isinf(row.degrees) else values
 
 
-def card_entries(card: Card) -> list[CardEntry]:
-    """Lines of a card as records."""
-    out = []
-    for line in card.lines:
-        own = [(side, row) for side, row in zip(SIDES, (line.low, line.middle, line.high), strict=True) if row]
-        values: dict[str, Any] = dict.fromkeys(SIDES)
-        values |= {side: row.value for side, row in own if math.isfinite(row.value)}
-        unit, said = own[0][1].unit, "; ".join(dict.fromkeys(row.formula for _, row in own))
-        warned = "; ".join(dict.fromkeys(row.warning for _, row in own if row.warning))
-        values |= {"unit": unit, "clause": line.clause, "formula": said, "warning": warned}
-        out.append(CardEntry(set=card.set_name, use=line.use, **values))
-    return out
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
@@ -291,25 +220,24 @@ def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
     table = to_table(sheet)
     endings = (".csv", ".xlsx", ".json", "-devices.csv", "-amplitude.csv")
     paths = tuple(folder / f"{STEM}{ending}" for ending in endings)
-    write_text(paths[0], table.to_csv(index=False, lineterminator="\n"))
+    write_text(paths[0], table.to_csv())
     _write_excel(sheet, table, paths[1])
-    write_text(paths[2], json.dumps(to_json(sheet), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-    write_text(paths[3], device_table(sheet).to_csv(index=False, lineterminator="\n"))
-    write_text(paths[4], amplitude_table(sheet).to_csv(index=False, lineterminator="\n"))
+    write_text(paths[2], codec.json_text(to_json(sheet), ascii_only=False, allow_nan=False) + "\n")
+    write_text(paths[3], device_table(sheet).to_csv())
+    write_text(paths[4], amplitude_table(sheet).to_csv())
     return paths
 
 
-def amplitude_table(sheet: Sheet) -> pd.DataFrame:
+def amplitude_table(sheet: Sheet) -> Cells:
     """Effective stiffness and equivalent viscous damping of the tested devices over the amplitude, run by run."""
     heads = [f"{name}_{level}" for name in ("stiffness_kN_mm", "damping") for level in ("q05", "q50", "q95")]
     rows = [
-        (p.set_name, p.n_devices, p.run, p.amplitude_mm, *p.stiffness_kN_mm, *p.damping)
-        for p in over_amplitude(sheet.tests)
+        (p.set_name, p.n_devices, p.run, p.amplitude_mm, *p.stiffness_kN_mm, *p.damping) for p in sheet.over_amplitude
     ]
-    return pd.DataFrame(rows, columns=["set", "devices", "run", "amplitude_mm", *heads]).map(safe_cell)
+    return Cells(("set", "devices", "run", "amplitude_mm", *heads), rows)
 
 
-def device_table(sheet: Sheet) -> pd.DataFrame:
+def device_table(sheet: Sheet) -> Cells:
     """All design quantities of every tested device and run: predicted by its best model, and measured."""
     rows = [
         (test.set_name, test.name, run, name, TABLE[name][0], *values, TABLE[name][1])
@@ -317,71 +245,39 @@ def device_table(sheet: Sheet) -> pd.DataFrame:
         for run, table in enumerate(test.table, start=1)
         for name, values in table.items()
     ]
-    heads = ["set", "device", "run", "quantity", "unit", "q05", "q50", "q95", "measured", "meaning"]
-    return pd.DataFrame(rows, columns=heads).map(safe_cell)
+    return Cells(("set", "device", "run", "quantity", "unit", "q05", "q50", "q95", "measured", "meaning"), rows)
 
 
-def _write_excel(sheet: Sheet, table: pd.DataFrame, path: Path) -> None:
+def _write_excel(sheet: Sheet, table: Cells, path: Path) -> None:
     """Write cards with the factors of the codes, a page for design, every margin (filter it), and what to mind."""
-    notes = pd.DataFrame({"to mind": [*sheet.warnings, *sheet.diagnoses] or ["nothing"]})
+    notes = [[note] for note in (*sheet.warnings, *sheet.diagnoses)] or [["nothing"]]
     write_workbook(
         {
-            "Cards": card_table(sheet).map(safe_cell),
-            "Design": design_table(sheet).map(safe_cell),
+            "Cards": card_table(sheet),
+            "Design": Cells.of(design_table(sheet)),
             "Over amplitude": amplitude_table(sheet),
             "All margins": table,
-            "To mind": notes.map(safe_cell),
+            "To mind": Cells(("to mind",), notes),
         },
         path,
     )
 
 
-def card_table(sheet: Sheet) -> pd.DataFrame:
+def card_table(sheet: Sheet) -> Cells:
     """Cards of all sets: what each is, its lines, then every factor of a code that no line has."""
     lines: list[dict[str, Any]] = []
-    for card in cards(sheet):
-        lines += [{"set": card.set_name, "use": head, "clause": said} for head, said in card.facts]
-        lines += [dict(vars(entry)) for entry in card_entries(card)]
-        told = {row.kind for line in card.lines for row in (line.low, line.middle, line.high) if row}
-        rest = [r for r in sheet.rows if r.set_name == card.set_name and r.method == FACTORS and r.kind not in told]
+    for name in sheet.spoken:
+        card = list(card_of(sheet, name))
+        lines += [{"set": name, "use": head, "clause": said} for head, said in facts_of(sheet, name)]
+        lines += [line.entry(name) for line in card]
+        told = {row.kind for line in card for row in line.values.values()}
+        rest = [r for r in sheet.rows if r.set_name == name and r.method == FACTORS and r.kind not in told]
         lines += [
-            {"set": card.set_name, "use": r.kind, r.side: r.value, "unit": r.unit, "clause": r.clause,
+            {"set": name, "use": r.kind, r.side: r.value, "unit": r.unit, "clause": r.clause,
              "formula": r.formula, "warning": r.warning}
             for r in rest
         ]  # fmt: skip
-    return pd.DataFrame(lines, columns=[f.name for f in fields(CardEntry)])
-
-
-def write_workbook(pages: Mapping[str, pd.DataFrame], path: Path) -> None:
-    """Write tables whose text is safe as the pages of a workbook; the same tables make the same bytes."""
-    from openpyxl import Workbook  # noqa: PLC0415  (margins that stand need not load it)
-    from openpyxl.utils import get_column_letter  # noqa: PLC0415
-
-    book = Workbook(write_only=True)  # row by row: half the time of a book that is filled cell by cell
-    for name, content in pages.items():
-        page = book.create_sheet(name)
-        rows = [[*content.columns], *(list(map(_cell, row)) for row in content.itertuples(index=False, name=None))]
-        letters = [get_column_letter(number) for number in range(1, len(rows[0]) + 1)]
-        page.freeze_panes = "A2"
-        page.auto_filter.ref = f"A1:{letters[-1]}{len(rows)}"
-        for place, letter in enumerate(letters):
-            longest = max(len(str(row[place] or "")) for row in rows[:WIDTH_ROWS])
-            page.column_dimensions[letter].width = min(WIDEST, longest + 2)
-        for row in rows:
-            page.append(row)
-    made = io.BytesIO()
-    book.save(made)
-    with replacing(path) as part, zipfile.ZipFile(made) as old, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as new:
-        for name in old.namelist():  # without the time of writing: the same margins, the same bytes
-            part_of = _CLOCK.sub(b"2000-01-01T00:00:00Z", old.read(name))
-            new.writestr(zipfile.ZipInfo(name, EPOCH), part_of, new.compression)
-
-
-def _cell(value: Any) -> Any:
-    """Value of a cell: what does not apply is empty, and infinity a word, which a workbook has no number for."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else str(value)
-    return value
+    return Cells.of(lines, CARD_HEADS)
 
 
 CHOSEN = ("new device", "EN 1990 characteristic", "EN 1990 design", "tolerance 95/95 one-sided")
@@ -392,7 +288,7 @@ def degrees_words(degrees: float) -> str:
     return "-" if math.isnan(degrees) else "known" if math.isinf(degrees) else f"{degrees:.0f}"
 
 
-def design_table(sheet: Sheet) -> pd.DataFrame:
+def design_table(sheet: Sheet) -> list[dict[str, Any]]:
     """Short table for design: per set and quantity the new device, EN 1990 values and a tolerance limit, low and high.
 
     A value by testing rests on the first way to come by the spread that there is: stated as known, common to several
@@ -422,7 +318,7 @@ def design_table(sheet: Sheet) -> pd.DataFrame:
                         if not math.isnan(row.degrees):
                             line[f"{head}, degrees of freedom"] = degrees_words(row.degrees)
             lines.append(line)
-    return pd.DataFrame(lines)
+    return lines
 
 
 def kept_pool(

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from shj_bayes.margins.specimen import Belief, Specimen, drive, largest_ranges
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.effect import Effect
-from shj_bayes.model.history import History
+from shj_bayes.model.history import History, histories
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.options import MarginOptions
 from shj_bayes.recording.motion import Block, Motion, alternating, exact_motion, hysteresis
@@ -136,6 +137,17 @@ class LoadingHistory:
     words: str  # what it is
     found: tuple[str, ...] = ()  # what was found or assumed in reading it
     of_drift: float = 1.0  # slip over the drift of the storey that it was made of; 1 for a slip
+
+    def through(self, specimen: Specimen) -> tuple[History, ...]:
+        """Histories of the same motion run after run, with the middle and the scales of the device's own test."""
+        last, n_runs = specimen.histories[-1], len(specimen.histories)
+        if n_runs not in self._runs:
+            self._runs[n_runs] = histories([self.time_s] * n_runs, [self.motion] * n_runs)
+        return tuple(run.on_scales_of(last, self.motion.displacement_mm) for run in self._runs[n_runs])
+
+    @cached_property
+    def _runs(self) -> dict[int, tuple[History, ...]]:
+        return {}
 
 
 @dataclass(frozen=True)
@@ -268,7 +280,7 @@ def load_cases(
     if asked is None:
         own = {LoadCase("tested"): specimen.histories}
         return own | at_other_speeds(own, specimen, beyond={})
-    runs = specimen.driven_through(asked.time_s, asked.motion)
+    runs = asked.through(specimen)
     beyond = _beyond(runs, specimen)
     cases = _cases(asked, specimen, runs, beyond, limits, extrapolate=extrapolate)
     return cases | at_other_speeds(cases, specimen, beyond=beyond)
@@ -327,7 +339,7 @@ def untested(asked: LoadingHistory, specimens: Sequence[Specimen]) -> dict[str, 
     """Coordinates in which a history leaves the test of a device and its force depends on them: largest value."""
     out: dict[str, float] = {}
     for one in specimens:
-        for name, value in _beyond(one.driven_through(asked.time_s, asked.motion), one).items():
+        for name, value in _beyond(asked.through(one), one).items():
             if name == "position" or any(depends(belief, one.histories[-1], name) for belief in one.beliefs):
                 out[name] = max(value, out.get(name, 0.0))
     return out

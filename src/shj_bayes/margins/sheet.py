@@ -3,6 +3,7 @@
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import (
     DEFAULT,
+    DEGRADATION,
     RANK,
     SIDES,
     DesignBasis,
@@ -21,7 +23,6 @@ from shj_bayes.margins.basis import (
     own_devices,
     predictive_devices,
     priors_that_count,
-    quantile_and_error,
 )
 from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.history import LoadingHistory, channel_words, published_factors
@@ -48,7 +49,7 @@ from shj_bayes.margins.spread import (
     spreading_more,
 )
 from shj_bayes.margins.uses import uses
-from shj_bayes.margins.virtual_test import VirtualTestResult
+from shj_bayes.margins.virtual_test import CyclePoint, VirtualTestResult, over_amplitude
 from shj_bayes.model.parameters import base_of
 from shj_bayes.options import PLAIN, MarginOptions
 from shj_bayes.population.device import RangeTested
@@ -73,7 +74,6 @@ PURPOSE = {
     HIGH: "upper bound: forces on beam, column, welds and bolts",
 }
 SERVICE = {(LOW, q): ", slip at service loads" for q in (LOWEST, LEAST)}  # these hold at every speed
-DEGRADATION = "degradation"
 LOSS = {
     LOW: "least loss of sliding force to count on",
     MIDDLE: "best estimate of the loss of sliding force after a first earthquake",
@@ -120,7 +120,12 @@ class Sheet:
         held = {row.set_name for row in self.rows}
         return never_tested_words(self.n_sets) if ANY_SET in held - set(self.spoken) else ""
 
-    @property
+    @cached_property
+    def over_amplitude(self) -> tuple[CyclePoint, ...]:
+        """Effective stiffness and damping of the devices over the amplitude."""
+        return over_amplitude(self.tests)
+
+    @cached_property
     def by_key(self) -> dict[Key, Margin]:
         """Margins by set, quantity, kind and side."""
         return {row.key: row for row in self.rows}
@@ -257,18 +262,13 @@ def bands_of_set(
     `n_devices` are those behind each quantity. No force passes one that it is a part of (`force_ends`).
     """
     forces = force_ends(devices, n_devices)
-    for quantity in (*devices[DEFAULT].draws, DEGRADATION):
+    for quantity in devices[DEFAULT].draws:
         of_ratio = quantity == DEGRADATION
         source = "ratio" if of_ratio else quantity
-        if source not in devices[DEFAULT].draws:
-            continue
         own = own_devices(result, set_name, (source,))
         count = priors_that_count(tuple(devices), own)
         for side, level in SIDES.items():
-            by_prior = {
-                label: quantile_and_error(1.0 - device.draws[source] if of_ratio else device.draws[source], level)
-                for label, device in devices.items()
-            }
+            by_prior = {label: d.ordered(quantity).with_error(level) for label, d in devices.items()}
             listed = "; ".join(f"{value:.4g} under the prior '{label}'" for label, (value, _) in by_prior.items())
             value, error = least_favourable(by_prior, side, own)
             note = f"outermost of {len(count)} priors of the spread: the set has {own} devices of its own"

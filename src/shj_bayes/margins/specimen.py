@@ -16,7 +16,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
 from shj_bayes.population.quantities import QUANTITIES
-from shj_bayes.recording.motion import Motion, exact_motion, table_1
+from shj_bayes.recording.motion import exact_motion, table_1
 from shj_bayes.results.device import DeviceResult
 from shj_bayes.results.diagnosis import NOTHING_MISSING, DiagnosisRecord, DiagnosisVerdict
 from shj_bayes.results.fit import FitRecord
@@ -130,12 +130,6 @@ class Specimen:
             "time": last.tested_s,
         }
 
-    def driven_through(self, time_s: FloatArray, motion: Motion) -> tuple[History, ...]:
-        """Histories of the same motion run after run, with the middle and the scales of the device's own test."""
-        n_runs = len(self.histories)
-        drawn = histories([time_s] * n_runs, [motion] * n_runs)
-        return tuple(history.on_scales_of(self.histories[-1], motion.displacement_mm) for history in drawn)
-
 
 def drive(
     model: DeviceModel, theta: FloatArray, histories: Sequence[History], start_force_kN: Sequence[float] = ()
@@ -181,6 +175,8 @@ def specimens_of_table(result: PopulationResult) -> tuple[Specimen, ...]:
     """
     variant = result.tested.variant if result.tested else "published"
     time, motion = exact_motion(table_1(), TABLE_RATE_HZ)
+    tested = {n: histories([time] * n, [motion] * n) for n in (1, 2)}
+    models = {n: DeviceModel(n, read_priors(), variant=variant) for n in tested}
     out = []
     for group in result.sets:
         for i, name in enumerate(group.devices):
@@ -188,11 +184,10 @@ def specimens_of_table(result: PopulationResult) -> tuple[Specimen, ...]:
             if theta is None:
                 continue
             n_runs = 2 if "ratio" in theta else 1
-            model = DeviceModel(n_runs, read_priors(), variant=variant)
+            model = models[n_runs]
             columns = [theta.get(name, np.zeros(N_DRAWS)) for name in model.names]
             belief = Belief(model, np.stack(columns, axis=1))
-            tested = histories([time] * n_runs, [motion] * n_runs)
-            out.append(Specimen(name, group.name, (belief,), tested, (0.0,) * n_runs))
+            out.append(Specimen(name, group.name, (belief,), tested[n_runs], (0.0,) * n_runs))
     return tuple(out)
 
 

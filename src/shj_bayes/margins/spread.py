@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ Key = tuple[str, str, str, str]
 """Set, quantity, kind, side."""
 V_KNOWN, V_UNKNOWN, V_COMMON, V_BETWEEN = "V known", "V unknown", "V common", "V between sets"
 SIGNS = {LOW: -1, HIGH: 1}
+LARGEST_LOG = 300.0  # of a limit; two devices that differ widely reach beyond what a number holds
 NORMAL, LOGNORMAL = "normal", "lognormal"
 NOT_NORMAL = "not above zero: the normal law does not suit so wide a spread; use the lognormal value"
 _FLOORED = "the devices agree to the printed digits: the spread is that of rounding"
@@ -93,22 +95,22 @@ class Sample:
         """Devices."""
         return int(self.values.size)
 
-    @property
+    @cached_property
     def mean(self) -> float:
         """Mean, natural unit."""
         return float(self.values.mean())
 
-    @property
+    @cached_property
     def mean_log(self) -> float:
         """Mean of the logarithm."""
         return float(np.log(self.values).mean())
 
-    @property
+    @cached_property
     def sd_log(self) -> float:
         """Standard deviation of the logarithm, not below what rounding or measurement alone makes; NaN for one."""
         return max(float(np.log(self.values).std(ddof=1)), self.floor) if self.n > 1 else math.nan
 
-    @property
+    @cached_property
     def variation(self) -> float:
         """Coefficient of variation, with the same floor; NaN for one."""
         return max(float(self.values.std(ddof=1)) / self.mean, self.floor) if self.n > 1 else math.nan
@@ -249,7 +251,8 @@ def limit(sample: Sample, way: Spread, factor: float, law: str, side: str) -> tu
     mark = "-" if sign < 0 else "+"
     if law == LOGNORMAL:
         inputs = f"m_y = {sample.mean_log:.4f}, s_y = {way.sd_log:.4f}, k = {factor:.4f}"
-        return math.exp(sample.mean_log + sign * factor * way.sd_log), f"exp(m_y {mark} k s_y)", inputs
+        power = min(sample.mean_log + sign * factor * way.sd_log, LARGEST_LOG)
+        return math.exp(power), f"exp(m_y {mark} k s_y)", inputs
     inputs = f"m = {sample.mean:.5g}, V = {way.variation:.4f}, k = {factor:.4f}"
     return sample.mean * (1.0 + sign * factor * way.variation), f"m (1 {mark} k V)", inputs
 

@@ -8,19 +8,17 @@ import numpy as np
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import (
-    BATCHES,
     PredictiveDevices,
     least_favourable,
     levels_of,
     own_devices,
-    quantile_and_error,
     reading_error,
 )
 from shj_bayes.margins.codes.code import Given
 from shj_bayes.margins.spread import HIGH, LOW, MIDDLE, USE, Margin, Origin
 from shj_bayes.options import in_mm
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
-from shj_bayes.population.quantities import HIGHEST, LOWEST, THIRD_CYCLE, FloatArray, quantity, stream
+from shj_bayes.population.quantities import BATCHES, HIGHEST, LOWEST, THIRD_CYCLE, FloatArray, Ordered, quantity, stream
 from shj_bayes.results.campaign import Connection
 
 DECISION = "decision 0006"
@@ -146,7 +144,7 @@ def of_many(one: OneSet, side: str, n: int, take: Callable[[FloatArray], FloatAr
         ends = {}
         for label, device in one.devices.items():
             drawn = drawn_together(one.result, device.draws[name], name, label, one.given.set_name, n, own_sd)
-            ends[label] = quantile_and_error(take(drawn), levels_of(one.given.request.probability)[side])
+            ends[label] = Ordered(take(drawn)).with_error(levels_of(one.given.request.probability)[side])
         found.append(least_favourable(ends, side, own_devices(one.result, one.given.set_name, (name,))))
     return (min if side == LOW else max)(found)
 

@@ -21,7 +21,7 @@ from shj_bayes.margins.spread import HIGH, LOW
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray, base_of, run_name
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
-from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST, Band, Likelihood, Measurement, band_of
+from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST, Band, Likelihood, band_of
 from shj_bayes.recording.motion import Block, Motion, exact_motion
 
 MIDDLE = 0.25
@@ -241,9 +241,8 @@ class VirtualTestResult:
     def estimate(self, tags: Tags = NO_TAGS) -> DeviceEstimate:
         """As a device of a population."""
         known = {
-            name: Measurement(
-                float(np.log(value)),
-                Likelihood(False, np.log([value]), np.array([self.errors[name]]), np.ones(1)),
+            name: Likelihood(
+                False, np.log([value]), np.array([self.errors[name]]), np.ones(1), point=float(np.log(value))
             )
             for name, value in self.values.items()
         }
@@ -289,7 +288,7 @@ def smallest_stroke(specimen: Specimen) -> float:
     ends = specimen.ranges
     blocks = tuple(Block(a, ends["speed"] / (2.0 * np.pi * a), 1) for a in ends["position"] * GROWING)
     time, motion = exact_motion(blocks, 40 * max(block.frequency_Hz for block in blocks))
-    runs = specimen.driven_through(time, motion)
+    runs = LoadingHistory(time, motion, "growing strokes").through(specimen)
     found = [drive(belief.model, belief.typical, runs) for belief in specimen.beliefs]
     read = [[read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True)] for forces in found]
     return max(_sliding_from(readings, UNEVEN) for readings in read)

@@ -93,8 +93,8 @@ def _kind(result: PopulationResult, words: str) -> Kind | None:
 
 LEVEL, POWER = 0.05, 0.8
 MOST = 10_000
-N_SPREADS = 200
-"""Equally probable values that stand for the posterior of the spread."""
+N_SPREADS, _EVERY = 200, 8
+"""Equally probable values that stand for the posterior of the spread; every eighth tells where to look."""
 _SHARE, _WEIGHT = np.polynomial.legendre.leggauss(200)
 _SHARE, _WEIGHT = 0.5 * (_SHARE + 1.0), 0.5 * _WEIGHT
 
@@ -123,7 +123,19 @@ def assurance(shift: float, sds: FloatArray | float, n_a: int, n_b: int, *, stra
 
 def devices_needed(shift: float, sds: FloatArray | float, *, strata: int = 1) -> int:
     """Devices on each side for which the `assurance` reaches `POWER`; `MOST` when more would be needed."""
-    return strata + bisect_left(range(strata, MOST), POWER, key=lambda n: assurance(shift, sds, n, n, strata=strata))
+    sds = np.atleast_1d(np.asarray(sds, dtype=np.float64))
+
+    def reached(n: int, spreads: FloatArray = sds) -> bool:
+        return assurance(shift, spreads, n, n, strata=strata) >= POWER
+
+    few = np.sort(sds)[_EVERY // 2 :: _EVERY] if sds.size >= _EVERY else sds
+    low = high = strata + bisect_left(range(strata, MOST), True, key=lambda n: reached(n, few))  # next to the answer
+    step = 1
+    while high < MOST and not reached(high):
+        low, high, step = high + 1, min(high + step, MOST), 2 * step
+    while low > strata and reached(low - 1):
+        low, high, step = max(low - step, strata), low - 1, 2 * step
+    return low + bisect_left(range(low, high), True, key=reached)
 
 
 MOST_ARRANGEMENTS = 500_000

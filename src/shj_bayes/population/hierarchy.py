@@ -435,10 +435,7 @@ def fit_population(
         raise PopulationError(f"the seed must be zero or a positive whole number, not {seed}")
     grouped = sets_of(devices)
     names = [q for q in (*QUANTITIES, *DESIGN) if any(q in device.measurements for device in devices)]
-    sets = {
-        q: [[d.measurements[q].likelihood for d in group if q in d.measurements] for group in grouped.values()]
-        for q in names
-    }
+    sets = {q: [[d.measurements[q] for d in group if q in d.measurements] for group in grouped.values()] for q in names}
     chosen = {q: population_prior(q) for q in names}
     priors = {q: {MAIN_PRIOR: prior, **other_priors(prior)} for q, prior in chosen.items()}
 

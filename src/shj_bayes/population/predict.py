@@ -9,10 +9,10 @@ steps, Joe and Xu 1996).
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from shj_bayes._util.arrays import frozen
 from shj_bayes.errors import PopulationError
@@ -25,6 +25,7 @@ from shj_bayes.population.quantities import (
     QUANTITIES,
     Band,
     FloatArray,
+    Ordered,
     band_of,
     quantity,
     stream,
@@ -109,7 +110,15 @@ class NewDevice:
 
     def band(self, name: str) -> Band:
         """5, 50 and 95 % quantiles, natural unit."""
-        return band_of(self.draws[name])
+        return self.ordered(name).band
+
+    def ordered(self, name: str) -> Ordered:
+        """Draws of a quantity, for quantiles."""
+        return self._ordered.setdefault(name, Ordered(self.draws[name]))
+
+    @cached_property
+    def _ordered(self) -> dict[str, Ordered]:
+        return {}
 
 
 def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "default") -> NewDevice:
@@ -118,6 +127,11 @@ def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "
     `PopulationError` where there is no such set or prior.
     """
     index = None if set_name == ANY_SET else result.index(set_name)
+    return _new_device(result, index, prior)
+
+
+@lru_cache(maxsize=64)
+def _new_device(result: PopulationResult, index: int | None, prior: str) -> NewDevice:
     name = ANY_SET if index is None else result.set_names[index]
     levels, spreads, apart = [], [], []
     for q in result.posteriors:
@@ -175,11 +189,11 @@ def dep_words(low: float, high: float) -> str:
     return f"{1 / high:.0f} to {1 / low:.0f} mm/s"
 
 
-def new_device_table(result: PopulationResult) -> pd.DataFrame:
+def new_device_table(result: PopulationResult) -> list[dict[str, Any]]:
     """5, 50 and 95 % of a new device, per set and quantity, with the same under the other priors.
 
-    Columns: set, n_devices, quantity, unit, q05, q50, q95; ``width`` (q95/q05, for gamma q95 - q05 in s/mm); q05 and
-    q95 under each other prior; ``dep_mm_s`` in words beside gamma.
+    Each row has set, n_devices, quantity, unit, q05, q50, q95; ``width`` (q95/q05, for gamma q95 - q05 in s/mm); q05
+    and q95 under each other prior; ``dep_mm_s`` in words beside gamma.
     """
     rows = []
     for name in (*result.set_names, ANY_SET):
@@ -188,14 +202,14 @@ def new_device_table(result: PopulationResult) -> pd.DataFrame:
         for q in main.draws:
             q05, q50, q95 = main.band(q)
             n = devices_behind(result, name, q)
-            row: dict[str, object] = {"set": name, "n_devices": n, "quantity": q, "unit": UNITS[q]}
+            row: dict[str, Any] = {"set": name, "n_devices": n, "quantity": q, "unit": UNITS[q]}
             row |= {"q05": q05, "q50": q50, "q95": q95, "width": q95 - q05 if q == "gamma" else q95 / q05}
             for label, other in others.items():
                 low, _, high = other.band(q)
                 row |= {f"q05_{label}": low, f"q95_{label}": high}
             row["dep_mm_s"] = dep_words(q05, q95) if q == "gamma" else ""
             rows.append(row)
-    return pd.DataFrame(rows)
+    return rows
 
 
 def how_wide(result: PopulationResult, set_name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,13 +17,54 @@ from shj_bayes.model.parameters import base_of
 FloatArray = NDArray[np.float64]
 Band = tuple[float, float, float]
 LEVELS = (0.05, 0.5, 0.95)
+BATCHES = 10
+"""Parts of the draws, one behind the other, whose quantiles tell how well that of all draws is known."""
 _FARTHEST = 300.0  # heavy tails of a spread that no data limit; keeps products of two quantities finite
 
 
 def band_of(values: FloatArray) -> Band:
     """5, 50 and 95 % of draws."""
-    low, middle, high = (float(x) for x in np.quantile(values, LEVELS))
-    return low, middle, high
+    return Ordered(values).band
+
+
+class Ordered:
+    """Draws, put in order once for all quantiles that are asked of them."""
+
+    def __init__(self, draws: FloatArray) -> None:
+        """Take draws, shape (n,)."""
+        self._draws = draws
+
+    @cached_property
+    def _in_order(self) -> FloatArray:
+        return np.sort(self._draws)
+
+    @cached_property
+    def _parts(self) -> FloatArray:
+        return np.sort(self._draws[: self._draws.size // BATCHES * BATCHES].reshape(BATCHES, -1), axis=1)
+
+    def quantile(self, level: float) -> float:
+        """Give a quantile, interpolated as `np.quantile` does."""
+        return float(_at_share(self._in_order, level))
+
+    def with_error(self, level: float) -> tuple[float, float]:
+        """Give a quantile, and its standard error from the number of draws (batch means)."""
+        spread = np.std(_at_share(self._parts, level), ddof=1) if self._parts.size else 0.0
+        return self.quantile(level), float(spread / np.sqrt(BATCHES))
+
+    @property
+    def band(self) -> Band:
+        """5, 50 and 95 %."""
+        low, middle, high = map(self.quantile, LEVELS)
+        return low, middle, high
+
+
+def _at_share(values: FloatArray, level: float) -> FloatArray:
+    """Value below which a share of others lie, along the last axis, which is in order."""
+    place = (values.shape[-1] - 1) * level
+    before = math.floor(place)
+    share, low, high = place - before, values[..., before], values[..., min(before + 1, values.shape[-1] - 1)]
+    step = high - low
+    return np.asarray(high - step * (1.0 - share) if share >= 0.5 else low + step * share)
 
 
 def spaced(n: int, rng: np.random.Generator) -> FloatArray:
@@ -214,7 +256,7 @@ FEWEST_EFFECTIVE = 25.0
 
 @dataclass(frozen=True)
 class Likelihood:
-    """Likelihood of a device's true value on the pooled scale, integrable against a normal in closed form."""
+    """What a device says of one quantity: likelihood of its true value, integrable against a normal in closed form."""
 
     # True: constant ``weight`` on adjoining pieces between ``first`` and ``second``. False: normal components with
     # centre ``first``, standard deviation ``second`` and ``weight`` summing to one.
@@ -224,6 +266,7 @@ class Likelihood:
     second: FloatArray
     weight: FloatArray
     effective_draws: float = np.inf  # Kish effective number of importance draws behind it; infinity when it is exact
+    point: float = np.nan  # its middle, pooled scale; NaN where none is told
 
     def __post_init__(self) -> None:
         """Freeze the arrays; pieces must adjoin."""
@@ -242,14 +285,6 @@ class Likelihood:
         mass = mass / mass.sum()
         mean = float(np.sum(mass * centre))
         return mean, float(np.sqrt(np.sum(mass * (variance + (centre - mean) ** 2))))
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """What a device says of one quantity."""
-
-    point: float  # middle of the likelihood, pooled scale
-    likelihood: Likelihood
 
 
 @dataclass(frozen=True)
@@ -298,14 +333,14 @@ class Rounded:
         ends = 1.0 / (dep + 0.5 * step), 1.0 / (dep - 0.5 * step)
         return cls(1.0 / dep, min(ends), max(ends))
 
-    def of(self, name: str) -> Measurement:
+    def of(self, name: str) -> Likelihood:
         """Take the value for that of a quantity."""
         pool = quantity(name).pool
         ends = pool(np.array([self.lower, self.upper]))
-        return Measurement(float(pool(self.value)), Likelihood(True, ends[:1], ends[1:], np.ones(1)))
+        return Likelihood(True, ends[:1], ends[1:], np.ones(1), point=float(pool(self.value)))
 
 
-def ratio_of(second: Rounded, first: Rounded) -> Measurement:
+def ratio_of(second: Rounded, first: Rounded) -> Likelihood:
     """Ratio of two rounded forces, each uniform inside its own interval.
 
     With n uniform on [a, b] and d on [c, e] the density of log(n/d) = u is, up to a constant, e^u times the integral of
@@ -318,7 +353,7 @@ def ratio_of(second: Rounded, first: Rounded) -> Measurement:
     low, high = np.exp(np.maximum(c, a - middle)), np.exp(np.minimum(e, b - middle))
     density = np.exp(middle) * 0.5 * np.maximum(high**2 - low**2, 0.0)
     point = float(pool(second.value / first.value))
-    return Measurement(point, Likelihood(True, edges[:-1], edges[1:], density / density.max()))
+    return Likelihood(True, edges[:-1], edges[1:], density / density.max(), point=point)
 
 
 def weighted(name: str, values: FloatArray, log_prior: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -342,7 +377,7 @@ def weighted(name: str, values: FloatArray, log_prior: FloatArray) -> tuple[Floa
     return pooled, weight / weight.sum()
 
 
-def of_draws(name: str, values: FloatArray, log_prior: FloatArray) -> Measurement:
+def of_draws(name: str, values: FloatArray, log_prior: FloatArray) -> Likelihood:
     """Turn draws of a single-device posterior into a likelihood, by the prior under which they were made.
 
     The likelihood follows by weighting each draw with 1/prior (Hogg, Myers and Bovy 2010, eq. 9). The weighted draws
@@ -377,5 +412,5 @@ def of_draws(name: str, values: FloatArray, log_prior: FloatArray) -> Measuremen
     keep = np.sqrt(1.0 - BANDWIDTH**2)
     shrunk = mean + keep * (centre - mean)
     sd = np.sqrt(keep**2 * within + BANDWIDTH**2 * variance)
-    likelihood = Likelihood(False, shrunk[held], sd[held], mass[held] / mass.sum(), effective)
-    return Measurement(float(pooled[np.searchsorted(up_to, 0.5)]), likelihood)
+    point = float(pooled[np.searchsorted(up_to, 0.5)])
+    return Likelihood(False, shrunk[held], sd[held], mass[held] / mass.sum(), effective, point)

@@ -1,6 +1,5 @@
 """A fitted population as tables and files, and back."""
 
-import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,18 +16,10 @@ from shj_bayes.population.predict import correlation_table, how_wide, new_device
 from shj_bayes.population.quantities import PopulationPrior
 from shj_bayes.results.codec import IF_KNOWN
 from shj_bayes.results.store import read, read_arrays, write, write_arrays
+from shj_bayes.results.tables import Cells
 
 _DRAWS = "population.npz"
 PARTS = ("mu", "tau", "hyper")
-
-
-def safe_cell(value: object) -> object:
-    """Text that a spreadsheet would run as a formula, with an apostrophe before it; all else unchanged."""
-    if not isinstance(value, str):
-        return value
-    first = unicodedata.normalize("NFKC", value.lstrip()[:1])  # full-width and small signs as the plain ones
-    runs = value.startswith(("\t", "\r")) or first in ("=", "+", "-", "@", "\u2212")
-    return "'" + value if runs else value
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +91,10 @@ def _finite(value: Any) -> Any:
 
 def record_of(result: PopulationResult) -> PopulationRecord:
     """Everything but the draws."""
-    by_set = dict(list(new_device_table(result).groupby("set", sort=False)))
+    bands: dict[str, dict[str, Any]] = {}
+    for row in new_device_table(result):
+        own = {key: value for key, value in row.items() if key not in ("set", "n_devices", "quantity")}
+        bands.setdefault(row["set"], {})[row["quantity"]] = own
     return PopulationRecord(
         version=shj_bayes.__version__,
         seed=result.seed,
@@ -113,9 +107,7 @@ def record_of(result: PopulationResult) -> PopulationRecord:
                 tags=None if group.name == ANY_SET else group.tags,
                 points=_finite(group.points),
                 errors=_finite(group.errors),
-                new_device=_finite(
-                    by_set[group.name].set_index("quantity").drop(columns=["set", "n_devices"]).to_dict("index")
-                ),
+                new_device=_finite(bands[group.name]),
                 how_wide=how_wide(result, group.name) if "Fy" in result.posteriors else None,
             )
             for group in (*result.sets, DeviceSet(ANY_SET, (), NO_TAGS, {}))
@@ -138,8 +130,7 @@ def record_of(result: PopulationResult) -> PopulationRecord:
 def write_population(result: PopulationResult, folder: Path) -> None:
     """Write ``population.csv``, ``population.json`` and the draws ``population.npz``; the folder is made if need be."""
     folder.mkdir(parents=True, exist_ok=True)
-    table = new_device_table(result).map(safe_cell)
-    write_text(folder / "population.csv", table.to_csv(index=False, lineterminator="\n"))
+    write_text(folder / "population.csv", Cells.of(new_device_table(result)).to_csv())
     written = write_arrays(draws_of(result), folder / _DRAWS)
     write(replace(record_of(result), draws_sha256=written), folder, ascii_only=False)
 

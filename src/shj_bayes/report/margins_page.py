@@ -5,13 +5,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from shj_bayes.margins.codes.en15129 import kind_of
-from shj_bayes.margins.files import CardLine, cards, degrees_words, shown
+from shj_bayes.margins.codes.en15129 import LBDP, UBDP, kind_of
+from shj_bayes.margins.files import CardLine, card_of, degrees_words, facts_of, shown
 from shj_bayes.margins.history import published_factors
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet
 from shj_bayes.margins.spread import DESIGN, HIGH, LOW, MIDDLE, SPREAD, USE, Key, Margin
 from shj_bayes.margins.uses import LARGEST, SUM
-from shj_bayes.margins.virtual_test import STEP, CyclePoint, over_amplitude
+from shj_bayes.margins.virtual_test import STEP, CyclePoint
 from shj_bayes.population.hierarchy import ANY_SET
 from shj_bayes.population.predict import LoopBand
 from shj_bayes.report.figures.population import loop
@@ -62,7 +62,7 @@ SPREADS = {  # kind of a margin: heading, factor
 def set_table(sheet: Sheet, importance: str) -> list[dict[str, Any]]:
     """One row per set: the numbers for design, bands of a new device, and factors for a class of EN 15129."""
     index = sheet.by_key
-    factors = (*FACTORS, kind_of("LBDP", importance), kind_of("UBDP", importance), *EQUIVALENTS)
+    factors = (*FACTORS, kind_of(LBDP, importance), kind_of(UBDP, importance), *EQUIVALENTS)
     rows = []
     for name in shown_sets(sheet):
         own = {row.kind: row for row in sheet.rows if row.set_name == name}
@@ -93,15 +93,15 @@ def told(margin: Margin, factor: float = 1.0) -> str:
 
 def shown_cards(sheet: Sheet) -> list[dict[str, Any]]:
     """Give the cards as texts: name, what it is, lines, and stiffness and damping over the amplitude."""
-    points = over_amplitude(sheet.tests)
+    several = (sheet.together or 1) > 1
     return [
         {
-            "name": name_of(card.set_name),
-            "facts": card.facts,
-            "lines": [line_words(line, several=(sheet.together or 1) > 1) for line in card.lines],
-            "curve": curve_rows([p for p in points if p.set_name == card.set_name]),
+            "name": name_of(name),
+            "facts": list(facts_of(sheet, name)),
+            "lines": [line_words(line, several=several) for line in card_of(sheet, name)],
+            "curve": curve_rows([p for p in sheet.over_amplitude if p.set_name == name]),
         }
-        for card in cards(sheet)
+        for name in sheet.spoken
     ]
 
 
@@ -124,7 +124,7 @@ def line_words(line: CardLine, *, several: bool = False) -> dict[str, Any]:
 
     ``main`` is what to use first, of one connection or of `several`; ``own`` what no design code states.
     """
-    rows = [row for row in (line.low, line.middle, line.high) if row]
+    rows = list(line.values.values())
     values = [told(row) if row else "" for row in (line.low, line.middle, line.high)]
     notes = [line.clause, *(row.warning for row in rows if row.warning)]
     unit, error = "" if rows[0].unit == "1" else rows[0].unit, max(row.monte_carlo_error for row in rows)

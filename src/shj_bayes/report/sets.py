@@ -84,24 +84,24 @@ def set_bands(
     table = new_device_table(result)
     groups = {group.name: group for group in result.sets}
     if not sets_suffice(len(result.sets)):
-        table = table[table["set"] != ANY_SET]
+        table = [row for row in table if row["set"] != ANY_SET]
     out: dict[str, tuple[SetBand, ...]] = {}
     for quantity in SHOWN:
-        rows = table[table["quantity"] == quantity].to_dict("records")
+        rows = [row for row in table if row["quantity"] == quantity]
         if rows:
             out[quantity] = tuple(
-                _band(row, groups.get(str(row["set"])), intervals or {}, result.other_priors) for row in rows
+                _band(row, groups.get(row["set"]), intervals or {}, result.other_priors) for row in rows
             )
     return out
 
 
 def _band(
-    row: Mapping[Any, Any],
+    row: Mapping[str, Any],
     group: DeviceSet | None,
     intervals: Mapping[tuple[str, str], Mapping[str, Interval]],
     priors: Iterable[str],
 ) -> SetBand:
-    quantity = str(row["quantity"])
+    quantity = row["quantity"]
     devices = []
     for index, name in enumerate(group.devices if group else ()):
         assert group is not None
@@ -110,11 +110,11 @@ def _band(
         if point is not None:
             devices.append((name, point))
     return SetBand(
-        str(row["set"]),
-        int(row["n_devices"]),
-        str(row["unit"]),
-        (float(row["q05"]), float(row["q50"]), float(row["q95"])),
-        {label: (float(row[f"q05_{label}"]), float(row[f"q95_{label}"])) for label in priors},
+        row["set"],
+        row["n_devices"],
+        row["unit"],
+        (row["q05"], row["q50"], row["q95"]),
+        {label: (row[f"q05_{label}"], row[f"q95_{label}"]) for label in priors},
         tuple(devices),
     )
 

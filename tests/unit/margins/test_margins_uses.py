@@ -12,7 +12,7 @@ from shj_bayes.app.design import card_lines
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import NONE, Bounds, DesignBasis, Environment, SlidingForceBounds
 from shj_bayes.margins.codes.code import Given
-from shj_bayes.margins.files import cards, write_margins
+from shj_bayes.margins.files import card_of, facts_of, write_margins
 from shj_bayes.margins.sheet import agreement, margins
 from shj_bayes.margins.spread import HIGH, LOW, MIDDLE
 from shj_bayes.margins.uses import (
@@ -165,12 +165,12 @@ def sheet(design, trials):
 
 
 def test_the_card_says_what_it_is_what_it_holds_for_and_which_row_serves_which_clause(sheet):
-    (card,) = cards(sheet)
-    facts = dict(card.facts)
+    (name,) = sheet.spoken
+    facts = dict(facts_of(sheet, name))
     assert facts["ONE connection"].startswith("2 bolts M16, 2 sliding surfaces, clamped with 95 kN a bolt, slot 220 mm")
     assert facts["tested"].startswith("slip of 5.94 to 95 mm, cycles of 9.8 to 10.2 mm/s")
     assert facts["holds for"].startswith("90 % of new devices at every speed from standstill to 10.2 mm/s")
-    lines = {line.use: line for line in card.lines}
+    lines = {line.use: line for line in card_of(sheet, name)}
     assert next(iter(lines)) == "all events: use these two"
     assert lines["second event"].low.value == sheet.by_key["Zinc 70", "force", "in a second event", LOW].value
     assert lines["ASCE 7: two analyses"].high.kind == "ASCE 7 upper bound force"

@@ -8,7 +8,7 @@ import pytest
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.export import loops
-from shj_bayes.margins.history import depends, from_file, load_cases, sine
+from shj_bayes.margins.history import LoadingHistory, depends, from_file, load_cases, sine
 from shj_bayes.margins.sheet import pool
 from shj_bayes.margins.specimen import Belief, Specimen, drive
 from shj_bayes.margins.virtual_test import counted_from, of_readings, read_off, virtual_tests
@@ -143,7 +143,7 @@ def test_another_motion_keeps_the_scales_of_the_devices_own_test():
     """A curve over travel is stated over the travel of the test; a shorter history walks a part of it."""
     device = specimen(belief(["wear"], **WEAR))
     time, motion = exact_motion(table_1()[:1], 10.0)
-    for history in device.driven_through(time, motion):
+    for history in LoadingHistory(time, motion, "a part").through(device):
         for name in SCALES:
             assert getattr(history, name) == getattr(device.histories[-1], name), name
         assert history.tested_m > np.ptp(history.travel_m)

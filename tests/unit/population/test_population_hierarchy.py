@@ -59,7 +59,7 @@ def test_one_set_of_two_rounded_values_against_a_grid(prior):
     posterior = likelihood * p_level[:, None] * p_spread
     fit = fit_quantity(
         "Fy",
-        [[Rounded.to_step(v, 5.0).of("Fy").likelihood for v in (75.0, 95.0)]],
+        [[Rounded.to_step(v, 5.0).of("Fy") for v in (75.0, 95.0)]],
         prior,
         np.random.SeedSequence(5),
     )
@@ -96,7 +96,7 @@ def new_devices(sets, prior):
 
 
 def test_published_sets_are_those_of_long_chains():
-    sets = [[d.measurements["Fy"].likelihood for d in group] for group in sets_of(published_devices()).values()]
+    sets = [[d.measurements["Fy"] for d in group] for group in sets_of(published_devices()).values()]
     found = new_devices(sets, PRIOR)
     spread = np.ptp(LONG_CHAINS, axis=1, keepdims=True)
     assert np.all(np.abs(found - LONG_CHAINS) < 0.02 * spread)
@@ -110,12 +110,10 @@ STUDENT = 0.1 * np.random.default_rng(2).standard_t(2.5, 4000)
 HARD = {
     "one device": [devices_of((4.4, 0.03))],
     "one of each": [devices_of((v, 0.02)) for v in (4.2, 4.5, 4.3, 4.9, 4.4)],
-    "equal": [[Rounded.to_step(90.0, 5.0).of("Fy").likelihood] * 2] * 6,
+    "equal": [[Rounded.to_step(90.0, 5.0).of("Fy")] * 2] * 6,
     "exact": [devices_of((4.1, 1e-6), (4.3, 1e-6)), devices_of((4.5, 1e-6), (4.6, 1e-6), (4.2, 1e-6))],
     "one known badly": [devices_of((4.4, 0.05), (4.5, 0.05), (3.5, 1.5)), devices_of((4.6, 2.0)), []],
-    "heavy tails": [
-        [of_draws("Fy", np.exp(m + k * STUDENT), np.zeros(4000)).likelihood for m, k in ((4.3, 1), (4.5, 3))]
-    ],
+    "heavy tails": [[of_draws("Fy", np.exp(m + k * STUDENT), np.zeros(4000)) for m, k in ((4.3, 1), (4.5, 3))]],
 }
 
 
@@ -166,7 +164,7 @@ def test_gaussian_case_against_its_closed_form(kind, rng):
             return Likelihood(False, np.array([centre]), np.array([ERROR]), np.ones(1))
         z = stats.norm.ppf((np.arange(4000) + 0.5) / 4000)
         draws = (centre / ERROR**2 + m0 / s0**2) / precision + precision**-0.5 * z
-        return of_draws("Fy", np.exp(draws), stats.norm.logpdf(draws, m0, s0)).likelihood
+        return of_draws("Fy", np.exp(draws), stats.norm.logpdf(draws, m0, s0))
 
     fit = fit_quantity("Fy", [[device(c) for c in row] for row in CENTRES], known, np.random.SeedSequence(8))
     centre, sd = closed_form_levels()
@@ -179,7 +177,7 @@ def test_gaussian_case_against_its_closed_form(kind, rng):
 def test_identical_rounded_values_do_not_give_zero_spread():
     def spread(step, name="default"):
         prior = PRIOR if name == "default" else other_priors(PRIOR)[name]
-        sets = [[Rounded.to_step(90.0, step).of("Fy").likelihood] * 2 for _ in range(3)]
+        sets = [[Rounded.to_step(90.0, step).of("Fy")] * 2 for _ in range(3)]
         return np.quantile(fit_quantity("Fy", sets, prior, np.random.SeedSequence(2)).tau[:, 0], 0.5)
 
     coarse, fine = spread(5.0), spread(0.05)
@@ -190,10 +188,7 @@ def test_identical_rounded_values_do_not_give_zero_spread():
 
 def test_one_device_is_wider_than_eight(rng):
     def width(n):
-        values = [
-            Rounded.to_step(v, 1.0).of("Fy").likelihood
-            for v in 80 * np.exp(0.1 * stats.norm.ppf((np.arange(n) + 0.5) / n))
-        ]
+        values = [Rounded.to_step(v, 1.0).of("Fy") for v in 80 * np.exp(0.1 * stats.norm.ppf((np.arange(n) + 0.5) / n))]
         fit = fit_quantity("Fy", [values], PRIOR, np.random.SeedSequence(2))
         new = np.random.default_rng(1).normal(fit.mu[:, 0], fit.tau[:, 0])
         return np.ptp(np.quantile(new, [0.05, 0.95]))
@@ -208,7 +203,7 @@ def new_device_coverage(n_devices, n_campaigns, *, ignore_spread=False, n_sets=5
         rng = np.random.default_rng([19, n_devices, c])
         mu, tau = rng.normal(np.log(80), 0.3, n_sets), 0.2 * np.exp(rng.normal(0, 0.5, n_sets))
         printed = 5.0 * np.maximum(np.round(np.exp(rng.normal(mu, tau, (n_devices, n_sets))) / 5.0), 1.0)
-        sets = [[Rounded.to_step(v, 5.0).of("Fy").likelihood for v in printed[:, s]] for s in range(n_sets)]
+        sets = [[Rounded.to_step(v, 5.0).of("Fy") for v in printed[:, s]] for s in range(n_sets)]
         fit = fit_quantity("Fy", sets, PRIOR, np.random.SeedSequence([19, c]))
         new = fit.mu if ignore_spread else rng.normal(fit.mu, fit.tau)
         low, high = np.quantile(new, [0.05, 0.95], axis=0)
@@ -250,7 +245,7 @@ def test_global_random_state_is_not_touched(result):
 
 
 def test_far_apart_devices_are_still_pooled():
-    sets = [[Rounded.to_step(v, 0.001).of("Fy").likelihood for v in (0.01, 80_000.0)]]
+    sets = [[Rounded.to_step(v, 0.001).of("Fy") for v in (0.01, 80_000.0)]]
     fit = fit_quantity("Fy", sets, PRIOR, np.random.SeedSequence(1))
     assert np.all(np.isfinite(fit.mu))
     assert np.median(fit.tau) > 3

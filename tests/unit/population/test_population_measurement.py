@@ -5,7 +5,7 @@ from scipy import integrate, stats
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import DeviceEstimate, Tags, sets_of
 from shj_bayes.population.hierarchy import log_likelihood
-from shj_bayes.population.quantities import Likelihood, Rounded, of_draws, ratio_of
+from shj_bayes.population.quantities import Likelihood, Ordered, Rounded, of_draws, ratio_of
 
 
 def test_dep_of_30_stands_for_15_to_45():
@@ -27,7 +27,7 @@ def test_decade():
 
 @pytest.mark.parametrize(("mu", "tau"), [(4.4, 0.2), (4.4, 1e-4), (3.0, 0.1), (6.0, 0.1), (4.36, 0.01)])
 def test_rounded_value_is_integrated_exactly(mu, tau):
-    likelihood = Rounded.to_step(80.0, 5.0).of("Fy").likelihood
+    likelihood = Rounded.to_step(80.0, 5.0).of("Fy")
     low, high = np.log([77.5, 82.5])
     ends = [stats.norm.logsf(low, mu, tau), stats.norm.logsf(high, mu, tau)]
     if low <= mu:
@@ -38,7 +38,7 @@ def test_rounded_value_is_integrated_exactly(mu, tau):
 
 
 def test_ratio_of_rounded_values_has_the_right_density(rng):
-    found = ratio_of(Rounded.to_step(20.0, 5.0), Rounded.to_step(50.0, 5.0)).likelihood.centre_and_sd
+    found = ratio_of(Rounded.to_step(20.0, 5.0), Rounded.to_step(50.0, 5.0)).centre_and_sd
     u = np.log(rng.uniform(17.5, 22.5, 400_000) / rng.uniform(47.5, 52.5, 400_000))
     assert found[0] == pytest.approx(u.mean(), abs=2e-3)
     assert found[1] == pytest.approx(u.std(), rel=0.05)
@@ -48,7 +48,7 @@ def test_draws_under_a_prior_give_back_the_likelihood(rng):
     centre, sd, m0, s0 = 4.5, 0.1, 4.0, 0.2
     precision = 1 / sd**2 + 1 / s0**2
     draws = rng.normal((centre / sd**2 + m0 / s0**2) / precision, precision**-0.5, 20_000)
-    found = of_draws("Fy", np.exp(draws), stats.norm.logpdf(draws, m0, s0)).likelihood
+    found = of_draws("Fy", np.exp(draws), stats.norm.logpdf(draws, m0, s0))
     assert found.centre_and_sd == pytest.approx((centre, sd), rel=0.05)  # unweighted: 4.4 and 0.089
     assert found.weight.sum() == pytest.approx(1.0)
     assert 1000 < found.effective_draws < 20_000
@@ -56,7 +56,7 @@ def test_draws_under_a_prior_give_back_the_likelihood(rng):
 
 def test_skew_of_the_draws_survives(rng):
     draws = stats.loggamma.rvs(2.0, size=20_000, random_state=rng)
-    found = of_draws("Fy", np.exp(draws), np.zeros(20_000)).likelihood
+    found = of_draws("Fy", np.exp(draws), np.zeros(20_000))
     mean, sd = found.centre_and_sd
     assert (mean, sd) == pytest.approx((draws.mean(), draws.std()), rel=1e-6)
 
@@ -109,3 +109,12 @@ def test_sets_refuse_double_names_and_mixed_tags():
 def test_a_posterior_that_is_refused_names_its_device() -> None:
     with pytest.raises(PopulationError, match=r"device 'a': all posterior draws of Fy are equal"):
         DeviceEstimate.from_posterior("a", "s", {"Fy": np.ones(100)}, {"Fy": np.zeros(100)})
+
+
+@pytest.mark.parametrize("n", [1, 9, 64, 4001])
+def test_quantiles_of_draws_in_order_are_those_of_numpy_to_the_bit(n):
+    draws = np.random.default_rng(n).lognormal(size=n)
+    parts = draws[: n // 10 * 10].reshape(10, -1)
+    for level in (0.05, 0.5, 0.9332, 0.99, 1.0):
+        error = np.std(np.quantile(parts, level, axis=1), ddof=1) / np.sqrt(10) if n > 9 else 0.0
+        assert Ordered(draws).with_error(level) == (np.quantile(draws, level), error)

@@ -37,17 +37,20 @@ def ageing(age: Environment, importance: str = "II") -> Bounds:
     )
 
 
-def kind_of(word: str, importance: str) -> str:
-    """Kind of the lower (``LBDP``) or upper (``UBDP``) bound design property for an importance class."""
-    return f"EN 15129 {word}, importance class {importance}"
+LBDP, UBDP = "EN 15129 LBDP", "EN 15129 UBDP"
+
+
+def kind_of(bound: str, importance: str) -> str:
+    """Kind of the lower (`LBDP`) or upper (`UBDP`) bound design property for an importance class."""
+    return f"{bound}, importance class {importance}"
 
 
 def _rows(given: Given) -> Iterator[Margin]:
     basis, importance = given.basis, given.request.importance
     factors = ageing(basis.age, importance)
     for side, supply, factor, word in (
-        (LOW, basis.force.low, factors.low, "LBDP"),
-        (HIGH, basis.force.high, factors.high, "UBDP"),
+        (LOW, basis.force.low, factors.low, LBDP),
+        (HIGH, basis.force.high, factors.high, UBDP),
     ):
         what = "smallest plateau" if side == LOW else "largest force"
         origin = Origin(
