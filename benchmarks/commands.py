@@ -37,6 +37,7 @@ ROWS = {  # name: repeats, and words; names of `MADE` stand for their two files
     "diagnose": (1, (*COMMAND, "diagnose", "--quick", "short")),
     "campaign": (1, (*COMMAND, "campaign", DEMO, "--diagnose", "quick")),
     "demo": (1, (*COMMAND, "demo")),
+    "tables": (1, (*COMMAND, "tables")),
 }
 
 

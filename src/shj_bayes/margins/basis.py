@@ -14,16 +14,7 @@ from shj_bayes.margins.spread import HIGH, LOW, MIDDLE
 from shj_bayes.model.parameters import base_of
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.predict import NewDevice, new_device
-from shj_bayes.population.quantities import (
-    HIGHEST,
-    LEAST,
-    LEVELS,
-    LOWEST,
-    MOST,
-    THIRD_CYCLE,
-    FloatArray,
-    stream,
-)
+from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, THIRD_CYCLE, FloatArray, band_of, stream
 
 FEW = 3
 DEFAULT = "default"
@@ -242,7 +233,7 @@ def environment(result: PopulationResult, set_name: str) -> Environment:
 
 
 def _environment(shift: FloatArray, origin: str) -> Environment:
-    low, middle, high = (float(x) for x in np.exp(np.quantile(shift, LEVELS)))
+    low, middle, high = (float(x) for x in np.exp(band_of(shift)))
     said = f"{origin}: {middle:.2f} (90 % interval {low:.2f} to {high:.2f})"
     return Environment(Bounds.around(middle), Bounds.around(low, high), said)
 

@@ -224,7 +224,7 @@ def python_script(bounds: Sequence[Bound], amplitude_mm: float, source: str, lef
         for b in bounds
     )
     slips = "\n".join(f"    {json.dumps(b.set_name)}: {b.slip_mm!r}," for b in bounds if b.bound == LOWER)
-    return filled("connection_materials", rows, (*NOTES, *map(plain, left_out)), amplitude_mm, source, slips=slips)
+    return filled("connection_materials.py", rows, (*NOTES, *map(plain, left_out)), amplitude_mm, source, slips=slips)
 
 
 def links_script(bounds: Sequence[Bound], program: str, source: str, left_out: Sequence[str] = ()) -> str:
@@ -236,7 +236,7 @@ def links_script(bounds: Sequence[Bound], program: str, source: str, left_out: S
         for b in bounds
     )
     notes = (NOTES[0], NOTES[1].replace("A Steel02 material", "A plastic link"), *NOTES[2:], *map(plain, left_out))
-    return filled("connection_links", rows, notes, 0.0, source, program=program)
+    return filled("connection_links.py", rows, notes, 0.0, source, program=program)
 
 
 def stiffness_words(connections: Mapping[str, Connection]) -> tuple[str, ...]:
@@ -254,7 +254,7 @@ def stiffness_words(connections: Mapping[str, Connection]) -> tuple[str, ...]:
 
 def filled(name: str, rows: str, notes: Sequence[str], amplitude_mm: float, source: str, **more: str) -> str:
     """Fill one of the ``scripts``."""
-    text = (Path(__file__).parent / "scripts" / f"{name}.py.txt").read_text(encoding="utf-8")
+    text = (Path(__file__).parent / "scripts" / f"{name}.txt").read_text(encoding="utf-8")
     said = "\n".join(f"# - {note}" for note in notes)
     fixed = {"source": plain(source), "hardening": repr(HARDENING), "amplitude": repr(amplitude_mm)}
     return Template(text).substitute(fixed, rows=rows, notes=said, **more)
@@ -262,34 +262,18 @@ def filled(name: str, rows: str, notes: Sequence[str], amplitude_mm: float, sour
 
 def tcl_script(bounds: Sequence[Bound], source: str, left_out: Sequence[str] = ()) -> str:
     """Script for OpenSees (Tcl): the same materials by number of set and bound."""
-    names, slips = list(dict.fromkeys(b.set_name for b in bounds)), {b.set_name: b.slip_mm for b in bounds}
-    lines = [f"# Sliding friction connections as OpenSees materials, written by shj-bayes. Source: {plain(source)}."]
-    lines += [f"# - {note}" for note in (*NOTES, *map(plain, left_out))]
-    lines += ["# Sets:", *(f"#   {i}: {plain(name)}" for i, name in enumerate(names, start=1))]
-    lines.append("# frictionMaterial(<number of set>,<bound>): sliding force kN, stiffness kN/mm, R of Steel02")
-    for b in bounds:
-        key = f"{names.index(b.set_name) + 1},{b.bound.replace(' ', '_')}"
-        numbers = f"{b.force_kN:.6g} {b.K_kN_mm:.6g} {exponent_of_steel02(b.beta):.6g}"
-        lines.append(f"set frictionMaterial({key}) {{{numbers}}}")
-    lines += [
-        "proc defineFriction {tag number bound} {",
-        "    global frictionMaterial",
-        "    lassign $frictionMaterial($number,$bound) force stiffness sharpness",
-        f"    uniaxialMaterial Steel02 $tag $force $stiffness {HARDENING!r} $sharpness 0.0 0.15",
-        "}",
-        "# slip(<number of set>): free slip to either end of the slot, mm, where it is known",
-        *(f"set slip({i}) {slips[name]:g}" for i, name in enumerate(names, start=1) if slips[name] is not None),
-        "# The same with the ends of the slot, of a stiffness kN/mm that was not tested; takes four tags from tag on",
-        "proc defineFrictionInSlot {tag number bound bearing} {",
-        "    global slip",
-        "    defineFriction [expr $tag + 1] $number $bound",
-        "    uniaxialMaterial ElasticPPGap [expr $tag + 2] $bearing 1e6 $slip($number)",
-        "    uniaxialMaterial ElasticPPGap [expr $tag + 3] $bearing -1e6 [expr -$slip($number)]",
-        "    uniaxialMaterial Parallel $tag [expr $tag + 1] [expr $tag + 2] [expr $tag + 3]",
-        "}",
-        "# Example: defineFriction 1 1 lower",
-    ]
-    return "\n".join(lines) + "\n"
+    number = {name: i for i, name in enumerate(dict.fromkeys(b.set_name for b in bounds), start=1)}
+    slips = {number[b.set_name]: b.slip_mm for b in bounds if b.slip_mm is not None}
+    rows = "\n".join(
+        f"set frictionMaterial({number[b.set_name]},{b.bound.replace(' ', '_')}) "
+        f"{{{b.force_kN:.6g} {b.K_kN_mm:.6g} {exponent_of_steel02(b.beta):.6g}}}"
+        for b in bounds
+    )
+    more = {
+        "names": "\n".join(f"#   {i}: {plain(name)}" for name, i in number.items()),
+        "slips": "".join(f"set slip({i}) {slip:g}\n" for i, slip in slips.items()),
+    }
+    return filled("connection_materials.tcl", rows, (*NOTES, *map(plain, left_out)), 0.0, source, **more)
 
 
 LOOPS_CSV = "loops.csv"
@@ -433,4 +417,4 @@ def draws_script(
     )
     rate = f"{1.0 / (MIDDLE_SPEED * speed_mm_s):.6g}"
     notes = (NOTES[0], *NOTES[2:5], *map(plain, left_out))
-    return filled("connection_draws", rows, notes, amplitude_mm, source, rate=rate)
+    return filled("connection_draws.py", rows, notes, amplitude_mm, source, rate=rate)

@@ -36,7 +36,7 @@ from shj_bayes.population.quantities import HIGHEST, LOWEST
 from shj_bayes.population.results import PopulationRecord, draws_of, fits_of
 from shj_bayes.results import codec
 from shj_bayes.results.campaign import Connection
-from shj_bayes.results.store import digest_of, package, put_back, read_arrays, taken_out, write_arrays
+from shj_bayes.results.store import digest_of, package, packed, put_back, read_arrays, taken_out, unpacked, write_arrays
 from shj_bayes.results.tables import Cells, write_workbook
 
 WAYS = (V_KNOWN, V_COMMON, V_UNKNOWN, V_BETWEEN)
@@ -104,7 +104,7 @@ class CardLine:
         return {
             "set": set_name,
             "use": self.use,
-            **{side: _finite(self.values[side].value) if side in self.values else None for side in SIDES},
+            **{side: codec.finite(self.values[side].value) if side in self.values else None for side in SIDES},
             "unit": next(iter(rows)).unit,
             "clause": self.clause,
             "formula": "; ".join(said),
@@ -207,12 +207,8 @@ def to_json(sheet: Sheet) -> dict[str, Any]:
 
 
 def _entry(row: Margin) -> dict[str, Any]:
-    values = {HEADS.get(key, key): _finite(value) for key, value in vars(row).items()}
+    values = {HEADS.get(key, key): value for key, value in codec.finite(vars(row)).items()}
     return values | {"degrees_of_freedom": "known"} if math.isinf(row.degrees) else values
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
@@ -334,6 +330,7 @@ def kept_pool(
         with damage_told(path.name, PopulationError):
             said = json.loads(arrays.pop("said").tobytes())
             if said["rests_on"] == wanted and said["arrays"] == digest_of(arrays):
+                arrays = unpacked(arrays)
                 tests = codec.from_json(Tests, put_back(said["tests"], arrays))
                 fits = fits_of({key: own for key, own in arrays.items() if "/" in key})
                 return tests, pool(tests, result, known=fits)
@@ -343,7 +340,7 @@ def kept_pool(
     design = pool(tests, result, progress=progress)
     arrays = {}
     said = {"rests_on": wanted, "tests": taken_out(codec.to_json(tests), arrays)}
-    arrays |= draws_of(design)
+    arrays = packed(arrays | draws_of(design))
     said["arrays"] = digest_of(arrays)
     write_arrays(arrays | {"said": np.frombuffer(json.dumps(said).encode(), np.uint8)}, path)
     return tests, design

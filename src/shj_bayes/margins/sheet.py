@@ -41,6 +41,7 @@ from shj_bayes.margins.spread import (
     USE,
     Key,
     Margin,
+    Origin,
     Sample,
     between_sets,
     common_spread,
@@ -289,17 +290,15 @@ def bands_of_set(
 def _first(given: Given) -> Iterator[Margin]:
     """Give the one number for drift and the one for capacity design."""
     force = given.basis.force
-    n = given.devices.get(LOWEST, 0)
     for kind, side, value, what in (
         (DRIFT, LOW, force.low, "smallest plateau force of all runs (quantity lowest), at any speed"),
         (CAPACITY, HIGH, force.high, "largest force of all runs (quantity highest), at any speed"),
     ):
         purpose = PURPOSE[side] + SERVICE.get((side, LOWEST), "")
         said = f"{force.level(side)} % of the {what}"
-        origin = ("predictive distribution, decision 0006", said, force.words, purpose)
         age = f"as tested: ageing is in the ASCE 7 and EN 15129 bounds alone ({given.basis.age.words})"
-        row = Margin(given.set_name, "force", DESIGN, kind, side, value, "kN", n, math.nan, *origin, age)
-        yield replace(row, monte_carlo_error=value * given.basis.errors[side])
+        origin = Origin("predictive distribution, decision 0006", said, force.words, purpose, age)
+        yield given.of_force(kind, side, value, "kN", origin, DESIGN)
 
 
 def _spreads(result: PopulationResult, name: str, tests: Sequence[VirtualTestResult]) -> Iterator[Margin]:

@@ -15,7 +15,7 @@ from shj_bayes.margins.basis import (
     reading_error,
 )
 from shj_bayes.margins.codes.code import Given
-from shj_bayes.margins.spread import HIGH, LOW, MIDDLE, USE, Margin, Origin
+from shj_bayes.margins.spread import HIGH, LOW, MIDDLE, USE, Margin
 from shj_bayes.options import in_mm
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.quantities import BATCHES, HIGHEST, LOWEST, THIRD_CYCLE, FloatArray, Ordered, quantity, stream
@@ -47,11 +47,11 @@ class OneSet:
     devices: PredictiveDevices
     connection: Connection
 
-    def row(self, kind: str, side: str, unit: str, number: Number, origin: Origin) -> Margin:
-        """Row of the force."""
+    def row(self, kind: str, side: str, unit: str, number: Number, *origin: str) -> Margin:
+        """Row of the force; `origin` is its formula, inputs, purpose and, where there is one, note."""
         value, error = number
         head = (self.given.set_name, "force", USE, kind, side, value, unit, self.given.devices.get(LOWEST, 0), math.nan)
-        return Margin(*head, *origin, monte_carlo_error=error)
+        return Margin(*head, DECISION, *origin, monte_carlo_error=error)
 
     @property
     def forces(self) -> dict[str, Number]:
@@ -105,8 +105,8 @@ def _events(one: OneSet) -> Iterator[Margin]:
         for side, value in ((LOW, low), (HIGH, high)):
             if value is not None:
                 said = f"{force.level(side)} % of the {WHAT[side]} of {which}, at any speed"
-                origin = Origin(DECISION, said, force.words, f"{FOR[side]} of that event")
-                yield one.row(kind, side, "kN", (value, value * errors.get(side, 0.0)), origin)
+                number = (value, value * errors.get(side, 0.0))
+                yield one.row(kind, side, "kN", number, said, force.words, f"{FOR[side]} of that event")
 
 
 def drawn_together(
@@ -159,14 +159,8 @@ def _together(one: OneSet) -> Iterator[Margin]:
         note = "beside the scatter of the tests, in which the tightening of the laboratory is already"
         for side in (LOW, HIGH):
             number = of_many(one, side, 1, lambda drawn: drawn[0], own_sd)
-            origin = Origin(
-                DECISION,
-                f"{force.level(side)} % of the {WHAT[side]} x tightening",
-                f"{force.words}{said}",
-                FOR[side],
-                note,
-            )
-            yield one.row(TIGHTENED, side, "kN", number, origin)
+            formula = f"{force.level(side)} % of the {WHAT[side]} x tightening"
+            yield one.row(TIGHTENED, side, "kN", number, formula, f"{force.words}{said}", FOR[side], note)
     if (n := request.connections) is None:
         return
     inputs = f"{n} connections of one delivery: the level of the set is common, the scatter about it is their own{said}"
@@ -178,9 +172,7 @@ def _together(one: OneSet) -> Iterator[Margin]:
         for side in sides:
             number = of_many(one, side, n, lambda drawn, take=take: take(drawn, axis=0), own_sd)  # type: ignore[misc]
             formula = f"{force.level(side)} % of the {kind.partition(' ')[0]} of {n} x {WHAT[side]}"
-            yield one.row(
-                kind, side, "kN", number, Origin(DECISION, formula, inputs, what[side], note if kind == SUM else "")
-            )
+            yield one.row(kind, side, "kN", number, formula, inputs, what[side], note if kind == SUM else "")
 
 
 def _of_bolts(one: OneSet) -> Iterator[Margin]:
@@ -191,16 +183,14 @@ def _of_bolts(one: OneSet) -> Iterator[Margin]:
     taken = one.given.request.bolts is None and one.connection.surfaces is None
     said = f"{one.bolts} bolts x {one.surfaces} surfaces{' (taken, not said)' if taken else ''}"
     for side, (value, error) in one.forces.items():
-        told = Origin(DECISION, "force / (bolts x surfaces)", f"{value:.4g} kN / ({said})", FOR[side])
-        yield one.row(PER_BOLT, side, "kN", (value / parts, error / parts), told)
+        told = ("force / (bolts x surfaces)", f"{value:.4g} kN / ({said})", FOR[side])
+        yield one.row(PER_BOLT, side, "kN", (value / parts, error / parts), *told)
         if clamping is not None:
             whole = parts * clamping
             inputs = f"{value:.4g} kN / ({said} x {clamping:g} kN)"
             note = "of the clamping force stated, which was not measured while it slid"
-            origin = Origin(
-                DECISION, "force / (bolts x surfaces x clamping)", inputs, f"{FOR[side]}, by bolts and clamping", note
-            )
-            yield one.row(FRICTION, side, "1", (value / whole, error / whole), origin)
+            told = ("force / (bolts x surfaces x clamping)", inputs, f"{FOR[side]}, by bolts and clamping")
+            yield one.row(FRICTION, side, "1", (value / whole, error / whole), *told, note)
 
 
 def _wanted(one: OneSet) -> Iterator[Margin]:
@@ -212,22 +202,16 @@ def _wanted(one: OneSet) -> Iterator[Margin]:
     n = math.ceil(wanted * bolts / low - 1e-9)
     note = "force in proportion to bolts and clamping: shims, holes and plates as tested"
     inputs = f"{wanted:g} kN, {low:.4g} kN of {bolts} bolts as tested"
-    yield one.row(
-        WANTED_BOLTS, LOW, "1", (n, 0.0), Origin(DECISION, "wanted / (lower force / bolts), up", inputs, FOR[LOW], note)
-    )
+    yield one.row(WANTED_BOLTS, LOW, "1", (n, 0.0), "wanted / (lower force / bolts), up", inputs, FOR[LOW], note)
     upper = (high * n / bolts, high_error * n / bolts)
-    origin = Origin(
-        DECISION, "upper force x bolts / bolts as tested", f"{high:.4g} kN x {n} / {bolts}", FOR[HIGH], note
-    )
-    yield one.row(WANTED_CAPACITY, HIGH, "kN", upper, origin)
+    told = ("upper force x bolts / bolts as tested", f"{high:.4g} kN x {n} / {bolts}", FOR[HIGH])
+    yield one.row(WANTED_CAPACITY, HIGH, "kN", upper, *told, note)
     if one.clamping_kN is not None:
         value = one.clamping_kN * wanted / low
         number = (value, value * low_error / low)
         inputs = f"{one.clamping_kN:g} kN x {wanted:g} / {low:.4g} kN"
-        origin = Origin(
-            DECISION, "clamping as tested x wanted / lower force", inputs, FOR[LOW], f"{note}; not above the proof load"
-        )
-        yield one.row(WANTED_CLAMPING, LOW, "kN", number, origin)
+        told = ("clamping as tested x wanted / lower force", inputs, FOR[LOW])
+        yield one.row(WANTED_CLAMPING, LOW, "kN", number, *told, f"{note}; not above the proof load")
 
 
 def _at_the_joint(one: OneSet) -> Iterator[Margin]:
@@ -236,18 +220,12 @@ def _at_the_joint(one: OneSet) -> Iterator[Margin]:
     for side, (value, error) in one.forces.items():
         if request.lever_arm is not None:
             arm = in_mm(request.lever_arm) / 1000.0
-            origin = Origin(DECISION, "force x lever arm", f"{value:.4g} kN x {arm:g} m", FOR[side])
-            yield one.row(MOMENT, side, "kNm", (value * arm, error * arm), origin)
+            inputs = f"{value:.4g} kN x {arm:g} m"
+            yield one.row(MOMENT, side, "kNm", (value * arm, error * arm), "force x lever arm", inputs, FOR[side])
         if request.brace_angle_deg is not None:
             share = math.cos(math.radians(request.brace_angle_deg))
             inputs = f"{value:.4g} kN (force of the brace) x cos {request.brace_angle_deg:g} deg"
-            yield one.row(
-                STOREY,
-                side,
-                "kN",
-                (value * share, error * share),
-                Origin(DECISION, "force x cos angle", inputs, FOR[side]),
-            )
+            yield one.row(STOREY, side, "kN", (value * share, error * share), "force x cos angle", inputs, FOR[side])
 
 
 def _accepted(one: OneSet) -> Iterator[Margin]:
@@ -261,14 +239,13 @@ def _accepted(one: OneSet) -> Iterator[Margin]:
             for label, device in one.devices.items()
         }
         number = least_favourable(shares, LOW, own_devices(one.result, one.given.set_name, (THIRD_CYCLE,)))
-        origin = Origin(
-            DECISION,
+        told = (
             f"share of draws with the third cycle of {who} within {100 * TOLERANCE:g} % of the nominal force",
             f"nominal {nominal:.4g} kN ({one.given.basis.nominal_words})",
             "chance that good devices, like those tested, are accepted (EN 15129; ASCE 7 18.6)",
             "the 15 % are given from knowledge of the codes: check them against your edition",
         )
-        yield one.row(kind, LOW, "1", number, origin)
+        yield one.row(kind, LOW, "1", number, *told)
 
 
 def _within(one: OneSet, device: FloatArray, prior: str, n: int, nominal_kN: float) -> FloatArray:

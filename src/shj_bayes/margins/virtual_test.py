@@ -21,7 +21,7 @@ from shj_bayes.margins.spread import HIGH, LOW
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray, base_of, run_name
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
-from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST, Band, Likelihood, band_of
+from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST, Band, Likelihood, Ordered, band_of
 from shj_bayes.recording.motion import Block, Motion, exact_motion
 
 MIDDLE = 0.25
@@ -452,8 +452,8 @@ def _cycle(readings: Readings, chosen: NDArray[np.bool_]) -> tuple[FloatArray, F
 
 def _middle_and_sd(draws: FloatArray) -> tuple[float, float]:
     """Median, and half the width of the middle 68 % of the logarithm: one wild draw of 64 is no error of the others."""
-    low, middle, high = np.quantile(np.maximum(draws, 1e-9), (0.1587, 0.5, 0.8413))
-    return float(middle), 0.5 * float(np.log(high / low))
+    low, middle, high = map(Ordered(np.maximum(draws, 1e-9)).quantile, (0.1587, 0.5, 0.8413))
+    return middle, 0.5 * float(np.log(high / low))
 
 
 def _summary(run: Values, seen: Values) -> dict[str, tuple[float, float, float, float]]:

@@ -9,6 +9,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -95,8 +96,13 @@ LEVEL, POWER = 0.05, 0.8
 MOST = 10_000
 N_SPREADS, _EVERY = 200, 8
 """Equally probable values that stand for the posterior of the spread; every eighth tells where to look."""
-_SHARE, _WEIGHT = np.polynomial.legendre.leggauss(200)
-_SHARE, _WEIGHT = 0.5 * (_SHARE + 1.0), 0.5 * _WEIGHT
+
+
+@cache
+def _nodes() -> tuple[FloatArray, FloatArray]:
+    """Give shares of the law of an estimated spread, and their weights (Gauss and Legendre)."""
+    share, weight = np.polynomial.legendre.leggauss(200)
+    return 0.5 * (share + 1.0), 0.5 * weight
 
 
 def assurance(shift: float, sds: FloatArray | float, n_a: int, n_b: int, *, strata: int = 1) -> float:
@@ -116,9 +122,10 @@ def assurance(shift: float, sds: FloatArray | float, n_a: int, n_b: int, *, stra
     if min(n_a, n_b) < 1 or nu < 1:
         return 0.0
     away = np.abs(shift) / (sds * math.sqrt(1.0 / n_a + 1.0 / n_b))
-    limit = -float(stdtrit(nu, LEVEL / 2.0)) * np.sqrt(chdtri(nu, _SHARE) / nu)
+    share, weight = _nodes()
+    limit = -float(stdtrit(nu, LEVEL / 2.0)) * np.sqrt(chdtri(nu, share) / nu)
     found = ndtr(away[:, None] - limit) + ndtr(-away[:, None] - limit)
-    return float(np.mean(found @ _WEIGHT))
+    return float(np.mean(found @ weight))
 
 
 def devices_needed(shift: float, sds: FloatArray | float, *, strata: int = 1) -> int:
@@ -406,10 +413,7 @@ def direction_of(
 ) -> Direction:
     """Say how far the direction of a difference is known; `values` are those of the devices, stratum by stratum."""
     values = _pairs(result, name, strata)[1] if values is None else values
-    ends = [
-        np.quantile(shift_of(result, name, strata, label), (0.05, 0.5, 0.95))
-        for label in ("default", *result.other_priors)
-    ]
+    ends = [band_of(shift_of(result, name, strata, label)) for label in ("default", *result.other_priors)]
     above = [low > 0 or high < 0 for low, _, high in ends]
     if not all(above):
         return Direction.ASSUMED if above[0] else Direction.OPEN

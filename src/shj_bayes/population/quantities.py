@@ -44,7 +44,8 @@ class Ordered:
 
     def quantile(self, level: float) -> float:
         """Give a quantile, interpolated as `np.quantile` does."""
-        return float(_at_share(self._in_order, level))
+        last = self._in_order[-1]  # where what is no number is put
+        return math.nan if math.isnan(last) else float(_at_share(self._in_order, level))
 
     def with_error(self, level: float) -> tuple[float, float]:
         """Give a quantile, and its standard error from the number of draws (batch means)."""

@@ -14,7 +14,7 @@ from shj_bayes.population.device import NO_TAGS, RangeTested, Tags
 from shj_bayes.population.hierarchy import ANY_SET, MAIN_PRIOR, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import correlation_table, how_wide, new_device_table
 from shj_bayes.population.quantities import PopulationPrior
-from shj_bayes.results.codec import IF_KNOWN
+from shj_bayes.results.codec import IF_KNOWN, finite
 from shj_bayes.results.store import read, read_arrays, write, write_arrays
 from shj_bayes.results.tables import Cells
 
@@ -80,15 +80,6 @@ class PopulationRecord:
     digest: str | None = field(default=None, metadata=IF_KNOWN)
 
 
-def _finite(value: Any) -> Any:
-    """Return the value with infinities and NaN as None, which JSON can hold."""
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {k: _finite(v) for k, v in value.items()}
-    return tuple(map(_finite, value)) if isinstance(value, list | tuple) else value
-
-
 def record_of(result: PopulationResult) -> PopulationRecord:
     """Everything but the draws."""
     bands: dict[str, dict[str, Any]] = {}
@@ -105,9 +96,9 @@ def record_of(result: PopulationResult) -> PopulationRecord:
                 n_devices=len(group.devices),
                 devices=group.devices,
                 tags=None if group.name == ANY_SET else group.tags,
-                points=_finite(group.points),
-                errors=_finite(group.errors),
-                new_device=_finite(bands[group.name]),
+                points=finite(group.points),
+                errors=finite(group.errors),
+                new_device=finite(bands[group.name]),
                 how_wide=how_wide(result, group.name) if "Fy" in result.posteriors else None,
             )
             for group in (*result.sets, DeviceSet(ANY_SET, (), NO_TAGS, {}))
@@ -116,14 +107,14 @@ def record_of(result: PopulationResult) -> PopulationRecord:
             QuantityRecord(
                 quantity=name,
                 draws=fit.mu.shape[0],
-                importance_draws=_finite(result.importance_draws[name]),
+                importance_draws=finite(result.importance_draws[name]),
                 prior=result.priors[name].source,
             )
             for name, fit in result.posteriors.items()
         ),
         priors=dict(result.priors),
         other_priors=tuple(result.other_priors),
-        correlation_between_quantities=tuple(CorrelationRecord(**_finite(row)) for row in correlation_table(result)),
+        correlation_between_quantities=tuple(CorrelationRecord(**finite(row)) for row in correlation_table(result)),
     )
 
 

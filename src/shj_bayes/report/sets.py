@@ -20,7 +20,7 @@ from shj_bayes.population.predict import (
     new_device_table,
     sets_suffice,
 )
-from shj_bayes.population.quantities import ASSUMED, HIGHEST, LEVELS, QUANTITIES
+from shj_bayes.population.quantities import ASSUMED, HIGHEST, QUANTITIES, band_of
 
 MEANING = {
     "Fy": "sliding force at standstill, first run",
@@ -279,7 +279,7 @@ def force_matrix(result: PopulationResult) -> list[list[tuple[Interval, bool] | 
     mu = result.fit(name).mu
 
     def cell(i: int, j: int) -> tuple[Interval, bool]:
-        low, middle, high = (float(v) for v in np.exp(np.quantile(mu[:, i] - mu[:, j], LEVELS)))
+        low, middle, high = (float(v) for v in np.exp(band_of(mu[:, i] - mu[:, j])))
         return (low, middle, high), direction_of(result, name, [([i], [j])]) is Direction.SETTLED
 
     return [[cell(i, j) if i != j else None for j in range(n)] for i in range(n)]

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 from shj_bayes._util.files import replacing
 
@@ -24,34 +24,42 @@ _CELLS = re.compile(rb"<sheetData ?(/>|></sheetData>)")
 _NO_CELL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")  # signs that XML has no place for
 
 
-class Cells(NamedTuple):
-    """Rows of cells under heads; a cell is a text, a number, a truth value, or None or NaN for none."""
+class Cells:
+    """Rows of cells under heads: texts, numbers and truth values, and None for none.
 
-    heads: tuple[str, ...]
-    rows: Sequence[Sequence[Any]]
+    Attributes
+    ----------
+    heads : tuple of str
+    rows : list of list
+        What does not apply is None, and infinity a word, which a workbook has no number for.
+    """
+
+    def __init__(self, heads: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+        """Take cells as they are, with NaN and texts that a spreadsheet would run."""
+        self.heads = tuple(heads)
+        self.rows = [list(map(safe_cell, row)) for row in rows]
 
     @classmethod
     def of(cls, records: Sequence[Mapping[str, Any]], heads: Iterable[str] = ()) -> Self:
         """Table of records, under heads in the order in which the records have them where none are given."""
         heads = tuple(heads) or tuple(dict.fromkeys(key for record in records for key in record))
-        return cls(heads, [[record.get(head) for head in heads] for record in records])
+        return cls(heads, ([record.get(head) for head in heads] for record in records))
 
     def to_csv(self) -> str:
         """Table as CSV; a cell of none is empty."""
         made = io.StringIO()
         written = csv.writer(made, lineterminator="\n")
-        written.writerow(self.heads)
-        written.writerows([_written(cell) for cell in row] for row in self.rows)
+        written.writerows([self.heads, *self.rows])
         return made.getvalue()
 
 
-def _written(cell: Any) -> Any:
-    return None if isinstance(cell, float) and math.isnan(cell) else safe_cell(cell)
-
-
-def safe_cell(value: object) -> object:
-    """Text that a spreadsheet would run as a formula, with an apostrophe before it; all else unchanged."""
-    return _safe(value) if isinstance(value, str) else value
+def safe_cell(value: Any) -> Any:
+    """Cell of a file: a text that a spreadsheet would run as a formula has an apostrophe before it."""
+    if isinstance(value, str):
+        return _safe(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else str(value)
+    return value
 
 
 @lru_cache(TEXTS)
@@ -72,7 +80,7 @@ def write_workbook(pages: Mapping[str, Cells], path: Path) -> None:
     book, cells = Workbook(write_only=True), {}
     for number, (name, table) in enumerate(pages.items(), start=1):
         page = book.create_sheet(name)
-        rows = [table.heads, *([_shown(cell) for cell in row] for row in table.rows)]
+        rows = [table.heads, *table.rows]
         letters = [get_column_letter(place) for place in range(1, len(table.heads) + 1)]
         page.freeze_panes = "A2"
         page.auto_filter.ref = f"A1:{letters[-1]}{len(rows)}"
@@ -91,13 +99,6 @@ def write_workbook(pages: Mapping[str, Cells], path: Path) -> None:
             elif name == "docProps/core.xml":  # without the time of writing: the same margins, the same bytes
                 content = _CLOCK.sub(b"2000-01-01T00:00:00Z", content)
             new.writestr(zipfile.ZipInfo(name, EPOCH), content, new.compression)
-
-
-def _shown(value: Any) -> Any:
-    """Value of a cell: what does not apply is empty, and infinity a word, which a workbook has no number for."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else str(value)
-    return safe_cell(value)
 
 
 def _cells(rows: Sequence[Sequence[Any]], letters: Sequence[str]) -> bytes:

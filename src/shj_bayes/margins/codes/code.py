@@ -36,12 +36,12 @@ class Given:
             return own  # how much sets differ is not stated
         return (known(self.samples[quantity], stated, self.request.v_reason), *own)
 
-    def of_force(self, kind: str, side: str, value: float, unit: str, origin: Origin) -> Margin:
-        """Margin of the force by factors."""
+    def of_force(self, kind: str, side: str, value: float, unit: str, origin: Origin, method: str = FACTORS) -> Margin:
+        """Margin of the force, by factors or by another method."""
         n = self.devices.get(LOWEST, 0)
         error = abs(value) * self.basis.errors.get(side, 0.0)
         number = (value, unit, n, math.nan)
-        return Margin(self.set_name, "force", FACTORS, kind, side, *number, *origin, monte_carlo_error=error)
+        return Margin(self.set_name, "force", method, kind, side, *number, *origin, monte_carlo_error=error)
 
     def limit(
         self,
