@@ -3,6 +3,7 @@
 The rooms are imported inside the commands, so that ``shj-bayes --help`` answers at once.
 """
 
+import json
 from collections.abc import Callable
 from dataclasses import Field, dataclass, fields
 from functools import reduce, wraps
@@ -17,7 +18,7 @@ from shj_bayes._util.files import make_writable, need_files, need_population
 from shj_bayes._util.processes import no_interrupt_lost, quiet_libraries
 from shj_bayes.errors import CampaignError, PlanError, RecordingError, ShjError, plain_lines, system_words
 from shj_bayes.options import DIAGNOSES, DiagnoseOptions, FitOptions, MarginOptions, PlanOptions, flag_of
-from shj_bayes.results.codec import json_text, to_json
+from shj_bayes.results.codec import to_json
 
 Command = Callable[..., Any]
 PATH, FOLDER = click.Path(path_type=Path), click.Path(path_type=Path, file_okay=False)
@@ -48,7 +49,7 @@ class Output:
     def show(self, record: Any, text: str) -> None:
         """Print a result."""
         if self.as_json:
-            _say(json_text(to_json(record)))
+            _say(json.dumps(to_json(record), indent=1))
         elif not self.quiet:
             _say(text)
 

@@ -1,5 +1,6 @@
 """From finished devices, or from the published tables, to population, comparison and margins, with their pages."""
 
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
@@ -53,7 +54,7 @@ from shj_bayes.report.margins_page import band_words, extrapolated_words, render
 from shj_bayes.report.sets import FORCES, SHOWN, contrast_words, curve_words, multiplicity_words, name_of, pairs
 from shj_bayes.report.words import digits
 from shj_bayes.results.campaign import WITH_SET, CampaignRecord, Connection, read_campaign
-from shj_bayes.results.codec import json_text, to_json
+from shj_bayes.results.codec import to_json
 from shj_bayes.results.diagnosis import DiagnosisVerdict
 from shj_bayes.results.store import digests, has, made
 from shj_bayes.results.tables import Cells, write_workbook
@@ -228,7 +229,7 @@ def write_comparison(record: dict[str, Any], folder: Path) -> Path:
     )  # fmt: skip
     notes = [record["multiplicity"], *(c["sentence"] for c in record["curves"])]
     pages = {"Comparison": contrasts, "Devices": devices, "To mind": Cells(("to mind",), [[note] for note in notes])}
-    write_text(folder / "comparison.json", json_text(record, ascii_only=False, allow_nan=False) + "\n")
+    write_text(folder / "comparison.json", json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     write_text(folder / "comparison.csv", contrasts.to_csv())
     write_text(folder / "comparison-devices.csv", devices.to_csv())
     write_workbook(pages, folder / "comparison.xlsx")

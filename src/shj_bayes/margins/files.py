@@ -218,7 +218,7 @@ def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
     paths = tuple(folder / f"{STEM}{ending}" for ending in endings)
     write_text(paths[0], table.to_csv())
     _write_excel(sheet, table, paths[1])
-    write_text(paths[2], codec.json_text(to_json(sheet), ascii_only=False, allow_nan=False) + "\n")
+    write_text(paths[2], json.dumps(to_json(sheet), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     write_text(paths[3], device_table(sheet).to_csv())
     write_text(paths[4], amplitude_table(sheet).to_csv())
     return paths

@@ -22,7 +22,7 @@ from shj_bayes._util.files import (
 )
 from shj_bayes._util.processes import vet
 from shj_bayes.errors import InferenceError, ShjError
-from shj_bayes.results.codec import from_json, json_text, to_json
+from shj_bayes.results.codec import from_json, to_json
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
 
@@ -93,7 +93,7 @@ def write(record: Any, folder: Path, *, allow_nan: bool = False, ascii_only: boo
     content: dict[str, Any] = to_json(record)
     if any(f.name == "digest" for f in fields(record)):
         content = sealed(content)
-    text = json_text(content, ascii_only=ascii_only, allow_nan=allow_nan)
+    text = json.dumps(content, indent=1, ensure_ascii=ascii_only, allow_nan=allow_nan)
     write_text(folder / record.FILE, text if ascii_only else f"{text}\n")
     return content
 

@@ -10,7 +10,7 @@ import pytest
 from made_diagnosis import record
 from page_tools import OLD
 
-from shj_bayes.results.codec import IF_KNOWN, Probability, WrongValueError, from_json, json_text, to_json
+from shj_bayes.results.codec import IF_KNOWN, Probability, WrongValueError, from_json, to_json
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
 
@@ -87,19 +87,3 @@ def test_no_field_of_a_file_holds_anything_else(kind: Any, content: dict[str, An
     for key in ("schema", "verdict"):
         with pytest.raises(WrongValueError, match="it must be one of"):
             from_json(kind, known | {key: "else"})
-
-
-@pytest.mark.parametrize("ascii_only", [True, False])
-def test_text_of_values_is_that_of_json_with_an_indent(ascii_only: bool) -> None:
-    flat = {"a": 1, "b": None, "c": "x, \n\N{GREEK SMALL LETTER BETA}", "d": True, "e": 1e-300, "f": math.inf}
-    for value in (
-        flat,
-        [flat, [], {}, [1.5, [2, ()]]],
-        {"\N{EURO SIGN}": {"in": [flat]}, "none": {}},
-        (1, "b"),
-        "c",
-        3,
-    ):
-        assert json_text(value, ascii_only=ascii_only) == json.dumps(value, indent=1, ensure_ascii=ascii_only)
-    with pytest.raises(ValueError, match="JSON"):
-        json_text([{"a": math.nan}], allow_nan=False)
