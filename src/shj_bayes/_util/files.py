@@ -205,7 +205,11 @@ def read_json(path: Path, error: type[ShjError]) -> Any:
 
     No text in it can steer a terminal or spoil a table. A record that was sealed is so still.
     """
-    raw = read_bytes(path, MAX_JSON, error)
+    return json_of(read_bytes(path, MAX_JSON, error), path, error)
+
+
+def json_of(raw: bytes, path: Path, error: type[ShjError]) -> Any:
+    """Give the content of a JSON file, as `read_json` does, from what was read of it."""
     try:
         content = json.loads(raw.decode("utf-8"))
         if not _MAY_STEER.search(raw):

@@ -4,16 +4,20 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, fields
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar, get_args, get_type_hints
 
 import shj_bayes
 from shj_bayes._util.files import (
+    MAX_JSON,
     check_seal,
     damage_told,
     file_digest,
+    json_of,
+    read_bytes,
     read_json,
     refuse_packed,
     replacing,
@@ -29,6 +33,7 @@ from shj_bayes.results.fit import FitRecord
 DIAGNOSIS = "diagnosis"  # in the folder of a device of a campaign: that of its diagnosis
 FILES = ("posterior.nc", "summary.csv", "summary.json")  # whose digests stand in fit.json
 CHECKPOINT = "checkpoint.h5"  # of a fit that is under way, or has not converged
+HELD = 64  # records in memory, as they were read last
 CHUNK = 512  # samples that all draws of are compressed together
 COMPRESSED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 SOURCES = ("**/*.py", "**/templates/*", "**/scripts/*")  # of the package
@@ -59,7 +64,14 @@ def read(kind: type[Kind], folder: Path) -> Kind:
     path = folder / kind.FILE
     if not path.exists():
         raise kind.ERROR(f"{folder.name} {kind.MISSING}")
-    content = read_json(path, kind.ERROR)
+    found: Kind = _record(kind, path, read_bytes(path, MAX_JSON, kind.ERROR))
+    return found
+
+
+@lru_cache(maxsize=HELD)
+def _record(kind: type[_Stored], path: Path, raw: bytes) -> Any:
+    """Make the record of what was read of its file; a summary asks for those of a device a dozen times."""
+    folder, content = path.parent, json_of(raw, path, kind.ERROR)
     schemas = get_args(get_type_hints(kind)["schema"])
     if not isinstance(content, dict) or content.get("schema") not in schemas:
         raise kind.ERROR(f"{kind.FILE} in {folder.name} has none of the schemas {', '.join(schemas)}; {kind.AGAIN}")
@@ -264,7 +276,7 @@ def made(folder: Path, stage: str, rests_on: Any, writes: Sequence[str], make: C
     inputs = hashlib.sha256(json.dumps([package(), rests_on], sort_keys=True).encode()).hexdigest()
     known = _stages(folder).get(stage, {})
     if known.get("rests_on") == inputs and known.get("files") == digests(folder, writes):
-        said: Said = known["said"]
+        said: Said = deepcopy(known["said"])
         return said
     said = json.loads(json.dumps(make()))  # as it will be read
     new = {"rests_on": inputs, "files": digests(folder, writes), "said": said}
