@@ -72,6 +72,7 @@ NAMED = 0.1  # nats by which the one that a formula follows comes first
 # for it; it is found, and nothing beside it.
 MOST_BLOCKS = 8000
 BY_TEETH = 0.4  # of their size: what teeth make of a mean force. More is missed otherwise, and looks like larger teeth
+TURNS = 3  # in which rivals are weighed under the noise of a best hypothesis that is new
 MOST_FINAL = 6  # hypotheses that are weighed under noise of their own
 
 
@@ -202,10 +203,11 @@ def _under(out: Search, h: Hypothesis) -> Search:
     return replace(out, fitter=replace(out.fitter, metric=h.metric))
 
 
-def _share_noise(out: Search) -> Search:
+def _share_noise(out: Search, turns: int = TURNS) -> Search:
     """Search for the noise of each rival from that of the best hypothesis: the most probable one may be farther.
 
     A rival is also what comes near to the best under its noise, however far it is under the noise found for itself.
+    Where one becomes the best, the others are weighed beside it, `turns` times at most.
     """
     best = out.best
     assert best.metric is not None
@@ -215,7 +217,7 @@ def _share_noise(out: Search) -> Search:
         near = h.log_weight > least
         if h is not best and (near or _reaches(under, h, least)):
             out = out.keep(out.fitter.with_own_noise(h, best.metric.setting))
-    return out if out.best is best else _share_noise(out)
+    return out if out.best is best or turns == 1 else _share_noise(out, turns - 1)
 
 
 def _reaches(fitter: Fitter, h: Hypothesis, least: float) -> bool:
