@@ -63,7 +63,7 @@ def test_nothing_is_claimed_where_nothing_is_concealed(key, tmp_path):
 
 
 def test_the_short_proof_fails_when_naming_is_broken(tmp_path, monkeypatch):
-    """Candidates ranked worst first, the gains in the old places: the same check must not pass."""
+    """Candidates ranked worst first, the gains in the old places, no offset weighed: the same check must not pass."""
     screen = fitter.screen
 
     def worst_first(*told):
@@ -72,6 +72,7 @@ def test_the_short_proof_fails_when_naming_is_broken(tmp_path, monkeypatch):
         return [replace(candidate, gain=gain) for candidate, gain in zip(right[::-1], gains, strict=True)]
 
     monkeypatch.setattr(fitter, "screen", worst_first)
+    monkeypatch.setattr(search, "_offset_or_direction", lambda found: found)
     assert outcome(TRIALS["asymmetry"], diagnosed(TRIALS["asymmetry"], tmp_path)) != "right"
 
 

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -30,7 +30,8 @@ from shj_bayes.margins.uses import (
     WANTED_CAPACITY,
     WANTED_CLAMPING,
 )
-from shj_bayes.margins.virtual_test import TABLE, VirtualTestResult
+from shj_bayes.margins.virtual_test import TABLE, CyclePoint, VirtualTestResult
+from shj_bayes.population.device import RangeTested
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.quantities import HIGHEST, LOWEST
 from shj_bayes.population.results import PopulationRecord, draws_of, fits_of
@@ -74,11 +75,66 @@ LINES = (
     ("initial stiffness", "", *STIFFNESS),
 )
 Tests = tuple[VirtualTestResult, ...]
-SCHEMA = "shj-bayes/margins/1"
+SCHEMA: Literal["shj-bayes/margins/1"] = "shj-bayes/margins/1"
 STEM = "margins"
 HEADS = {"set_name": "set", "degrees": "degrees_of_freedom"}
 """Columns whose name in a file says more than the one in the code."""
-CARD_HEADS = ("set", "use", *SIDES, "unit", "clause", "formula", "warning")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarginEntry:
+    """A margin; what cannot be given, or does not apply, is null."""
+
+    set: str
+    quantity: str
+    method: str
+    kind: str
+    side: str
+    value: float | None
+    unit: str
+    n_devices: int
+    degrees_of_freedom: Any  # "known" where they are infinite
+    clause: str
+    formula: str
+    inputs: str
+    purpose: str
+    note: str
+    warning: str
+    monte_carlo_error: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CardEntry:
+    """A line of the card of a set: a use, and the values that serve it."""
+
+    set: str
+    use: str
+    low: float | None
+    middle: float | None
+    high: float | None
+    unit: str
+    clause: str
+    formula: str
+    warning: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarginsRecord:
+    """Content of ``margins.json``."""
+
+    FILE: ClassVar[str] = "margins.json"
+
+    schema: Literal["shj-bayes/margins/1"] = SCHEMA
+    history: str
+    tested: RangeTested | None
+    extrapolated: bool
+    reliability: float
+    facts: Mapping[str, Mapping[str, str]]
+    cards: tuple[CardEntry, ...]
+    warnings: tuple[str, ...]
+    diagnoses: tuple[str, ...]
+    margins: tuple[MarginEntry, ...]
+    over_amplitude: tuple[CyclePoint, ...]
 
 
 @dataclass(frozen=True)
@@ -96,20 +152,23 @@ class CardLine:
         """Margins that there are, by side."""
         return {side: row for side, row in zip(SIDES, (self.low, self.middle, self.high), strict=True) if row}
 
-    def entry(self, set_name: str) -> dict[str, Any]:
-        """Line of the card of a set in files, its keys those of `CARD_HEADS`."""
+    def entry(self, set_name: str) -> CardEntry:
+        """Line of the card of a set in files."""
         rows = self.values.values()
         said = dict.fromkeys(row.formula for row in rows)
         warned = dict.fromkeys(row.warning for row in rows if row.warning)
-        return {
-            "set": set_name,
-            "use": self.use,
-            **{side: codec.finite(self.values[side].value) if side in self.values else None for side in SIDES},
-            "unit": next(iter(rows)).unit,
-            "clause": self.clause,
-            "formula": "; ".join(said),
-            "warning": "; ".join(warned),
-        }
+        low, middle, high = (codec.finite(self.values[s].value) if s in self.values else None for s in SIDES)
+        return CardEntry(
+            set=set_name,
+            use=self.use,
+            low=low,
+            middle=middle,
+            high=high,
+            unit=next(iter(rows)).unit,
+            clause=self.clause,
+            formula="; ".join(said),
+            warning="; ".join(warned),
+        )
 
 
 def shown(index: Mapping[Key, Margin], name: str, quantity: str, kind: str, side: str) -> Margin | None:
@@ -191,24 +250,25 @@ def to_table(sheet: Sheet) -> Cells:
 
 def to_json(sheet: Sheet) -> dict[str, Any]:
     """Content of ``margins.json``; infinite degrees of freedom read "known", what does not apply is null."""
-    return {
-        "schema": SCHEMA,
-        "history": sheet.history,
-        "tested": codec.to_json(sheet.tested),
-        "extrapolated": sheet.extrapolated,
-        "reliability": sheet.reliability,
-        "facts": {name: dict(facts_of(sheet, name)) for name in sheet.spoken},
-        "cards": [line.entry(name) for name in sheet.spoken for line in card_of(sheet, name)],
-        "warnings": list(sheet.warnings),
-        "diagnoses": list(sheet.diagnoses),
-        "margins": [_entry(row) for row in sheet.rows],
-        "over_amplitude": codec.to_json(sheet.over_amplitude),
-    }
+    record = MarginsRecord(
+        history=sheet.history,
+        tested=sheet.tested,
+        extrapolated=sheet.extrapolated,
+        reliability=sheet.reliability,
+        facts={name: dict(facts_of(sheet, name)) for name in sheet.spoken},
+        cards=tuple(line.entry(name) for name in sheet.spoken for line in card_of(sheet, name)),
+        warnings=sheet.warnings,
+        diagnoses=sheet.diagnoses,
+        margins=tuple(map(_entry, sheet.rows)),
+        over_amplitude=sheet.over_amplitude,
+    )
+    written: dict[str, Any] = codec.to_json(record)
+    return written
 
 
-def _entry(row: Margin) -> dict[str, Any]:
+def _entry(row: Margin) -> MarginEntry:
     values = {HEADS.get(key, key): value for key, value in codec.finite(vars(row)).items()}
-    return values | {"degrees_of_freedom": "known"} if math.isinf(row.degrees) else values
+    return MarginEntry(**values | ({"degrees_of_freedom": "known"} if math.isinf(row.degrees) else {}))
 
 
 def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
@@ -265,7 +325,7 @@ def card_table(sheet: Sheet) -> Cells:
     for name in sheet.spoken:
         card = list(card_of(sheet, name))
         lines += [{"set": name, "use": head, "clause": said} for head, said in facts_of(sheet, name)]
-        lines += [line.entry(name) for line in card]
+        lines += [vars(line.entry(name)) for line in card]
         told = {row.kind for line in card for row in line.values.values()}
         rest = [r for r in sheet.rows if r.set_name == name and r.method == FACTORS and r.kind not in told]
         lines += [
@@ -273,7 +333,7 @@ def card_table(sheet: Sheet) -> Cells:
              "formula": r.formula, "warning": r.warning}
             for r in rest
         ]  # fmt: skip
-    return Cells.of(lines, CARD_HEADS)
+    return Cells.of(lines, (f.name for f in fields(CardEntry)))
 
 
 CHOSEN = ("new device", "EN 1990 characteristic", "EN 1990 design", "tolerance 95/95 one-sided")
