@@ -67,7 +67,7 @@ def test_sizes_are_those_there_are_where_the_smaller_set_was_not_fitted(search):
 def test_a_constant_is_as_large_as_it_is_also_where_the_law_could_make_up_for_it(monkeypatch):
     """The law makes no constant, but where it begins loaded its slopes may look like one."""
     data = SimpleNamespace(used=np.ones(40), count=np.ones(40), scale_kN=10.0)
-    monkeypatch.setattr(sizes, "_change", lambda *_: np.full((1, 40), -3.0))
+    monkeypatch.setattr(sizes, "force_of", lambda *_: np.full((1, 40), -3.0))
     monkeypatch.setattr(sizes, "_law_slopes", lambda *_: np.ones((40, 1)))
     for name, size in (("added over constant", 0.3), ("taper", 0.0)):
         h = _hypothesis(name)
