@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import os
 import re
 import shutil
 import time
@@ -13,13 +12,12 @@ import pytest
 from click.testing import CliRunner
 
 from shj_bayes._util.files import folder_name, shipped
-from shj_bayes.app.campaign import _threads_of_last, run_campaign, summarise_campaign, summarise_tables
+from shj_bayes.app.campaign import run_campaign, summarise_campaign, summarise_tables
 from shj_bayes.app.design import compare_sets
-from shj_bayes.app.manifest import Device, read_manifest
+from shj_bayes.app.manifest import read_manifest
 from shj_bayes.cli import main
 from shj_bayes.errors import CampaignError
 from shj_bayes.model.simulate import Truth, simulate_device
-from shj_bayes.options import FitOptions
 from shj_bayes.population.device import NO_TAGS, Tags
 from shj_bayes.recording.motion import Block
 from shj_bayes.recording.recording import write_csv
@@ -64,17 +62,6 @@ def test_good_devices_are_done_and_the_bad_one_is_named(campaign):
     assert record["sets"][1]["connection"] == said
     assert read_campaign(out).sets[1].connection.travel_mm == 102
     assert len(manifest.devices) == 4
-
-
-@pytest.mark.parametrize(
-    ("n", "workers", "processors", "threads"),
-    [(6, 2, 2, [1, 1, 1, 1, 2, 2]), (5, 2, 8, [1, 1, 1, 1, 2]), (6, 2, 8, [1] * 6), (1, 4, 8, [4]), (0, 2, 2, [])],
-)
-def test_the_last_devices_have_the_processors_that_are_left(monkeypatch, n, workers, processors, threads):
-    monkeypatch.setattr(os, "cpu_count", lambda: processors)
-    devices = [Device(str(i), "set", (), FitOptions()) for i in range(n)]
-    last = _threads_of_last(devices, workers)
-    assert [last.get(device.folder, 1) for device in devices] == threads
 
 
 def test_second_call_keeps_what_is_unchanged(campaign):

@@ -169,8 +169,7 @@ def _all_done(
     quiet = None if progress and devices else True
     with tqdm(total=len(devices), initial=len(outcomes), unit="device", desc=words, disable=quiet) as bar:
         if not (cluster and waiting):
-            do = partial(_fit_here, folder=folder, threads=_threads_of_last(waiting, workers))
-            coming = results_here(workers, do, waiting)
+            coming = results_here(workers, partial(fit_one, folder=folder), waiting)
         else:
             there, sent = folder.absolute(), map(_with_whole_paths, waiting)
             do = partial(fit_one, folder=there)
@@ -181,23 +180,6 @@ def _all_done(
             outcomes[device.folder] = replace(outcome, device=mine) if outcome else Outcome(mine, FAILED, reason)
             bar.update()
     return [outcomes[device.folder] for device in devices]
-
-
-def _threads_of_last(devices: Sequence[Device], workers: int) -> dict[str, int]:
-    """Threads, by folder, of the devices behind which none waits: processors would have nothing else to do.
-
-    All of this machine where they may be used, so that the one that ends last has all; else its share of `workers`.
-    """
-    last = devices[-(len(devices) % workers or workers) :]
-    share = workers if workers >= (os.cpu_count() or 1) else workers // max(len(last), 1)
-    return {device.folder: share for device in last}
-
-
-def _fit_here(device: Device, folder: Path, threads: Mapping[str, int]) -> Outcome:
-    """Fit and diagnose one device in a process of this machine."""
-    from shj_bayes.app.device import Work  # noqa: PLC0415  (as in `fit_one`)
-
-    return fit_one(device, folder, Work(threads=threads.get(device.folder, 1)))
 
 
 def _kept(device: Device, folder: Path) -> Outcome | None:
