@@ -203,3 +203,12 @@ def test_a_shortcut_opens_the_bench_on_its_folder(tmp_path: Path, monkeypatch: p
     assert f'-m shj_bayes bench "{tmp_path / "my lab"}"' in content
     with pytest.raises(CampaignError, match="cannot hold the path"):
         server.put_shortcut(tmp_path / 'a"; rm -rf x')
+
+
+def test_a_set_that_is_brought_takes_a_name_that_none_has(tmp_path: Path) -> None:
+    manifest, session = tmp_path / "there.toml", Session(tmp_path / "bench")
+    for names in (("A",), ("A", "A (2)")):
+        sets = "".join(f'[[set]]\nname = "{name}"\ndevice = []\n' for name in names)
+        manifest.write_text(f'schema = "shj-bayes/campaign/1"\nname = "there"\n{sets}', encoding="utf-8")
+        session.bring(manifest)
+    assert [one.name for one in session.sets] == ["A", "A (2)", "A (2) (2)"]

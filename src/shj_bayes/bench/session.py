@@ -202,7 +202,10 @@ class Session:
             return target
 
         tables, taken = tomllib.loads(manifest.read_text(encoding="utf-8"))["set"], {one.name for one in self.sets}
-        self._take([table | {"name": _free_name(table["name"], taken)} for table in tables], copied)
+        for table in tables:
+            table["name"] = _free_name(table["name"], taken)
+            taken.add(table["name"])
+        self._take(tables, copied)
         self.write()
 
     def _in_folder(self, device: Entry) -> bool:

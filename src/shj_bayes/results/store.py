@@ -38,7 +38,6 @@ CHUNK = 512  # samples that all draws of are compressed together
 COMPRESSED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 SOURCES = ("**/*.py", "**/templates/*", "**/scripts/*")  # of the package
 _TRUSTED: set[tuple[str, str]] = set()  # digest, and group or "" for all, of netCDF files written or vetted here
-# digest and group ("" for all) of netCDF files that this process wrote or vetted
 Said = TypeVar("Said")
 
 
