@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from shj_bayes.inference.binning import Run
-from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.noise.noise import DEFAULT, noise_model
 from shj_bayes.model.priors import read_priors
@@ -27,15 +27,15 @@ def device(
     effects: Sequence[str] = (),
     variant: str = "published",
     seed: int = 1,
-) -> Posterior:
+) -> Likelihood:
     """Simulate the device at a sampling rate, with its exact motion; the posterior is in blocks for a first look."""
     recordings = simulate_device(replace(TRUTH, beta=beta), seed=seed, rate_Hz=rate_Hz, variant=variant)
     motion = exact_motion(table_1(), rate_Hz)[1]
     named = effects_named(effects)
     model = DeviceModel(2, read_priors("afc"), effects=named, noise=noise_model(noise), variant=variant)
-    return make_posterior([Run(recording, motion) for recording in recordings], model)
+    return make_likelihood([Run(recording, motion) for recording in recordings], model)
 
 
-def n_samples(posterior: Posterior) -> int:
+def n_samples(posterior: Likelihood) -> int:
     """Count the samples of all runs."""
     return sum(run.recording.n_samples for run in posterior.runs)

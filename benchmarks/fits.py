@@ -18,7 +18,7 @@ from devices import device, n_samples
 from timing import Counted
 
 from shj_bayes.inference.convergence import judge
-from shj_bayes.inference.posterior import make_posterior
+from shj_bayes.inference.likelihood import make_likelihood
 from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import find_start
 
@@ -37,14 +37,15 @@ def main() -> None:
     for rate, beta, effect in product(options.rates, options.beta, ["", *options.effects]):
         given = device(rate, beta, effects=[effect] if effect else [])
         begin, used = time.perf_counter(), time.process_time()
-        posterior, start = find_start(make_posterior(given.runs, given.model), threads=options.threads)
+        posterior, start = find_start(make_likelihood(given.runs, given.model), threads=options.threads)
         searched = time.perf_counter() - begin
         density = Counted(posterior)
-        _, figures = run_ensembles(density, posterior.names, start, SamplingPlan(threads=options.threads))
+        _, figures = run_ensembles(density, posterior.model.names, start, SamplingPlan(threads=options.threads))
         wall, used = time.perf_counter() - begin, time.process_time() - used
         least = float(np.min(figures.ess_bulk))
+        n_blocks = posterior.blocks.used.size
         print(
-            f"{n_samples(posterior):7d}  {posterior.n_blocks:8d}  {beta:4g}  {effect or 'none':16}  {wall:7.2f} "
+            f"{n_samples(posterior):7d}  {n_blocks:8d}  {beta:4g}  {effect or 'none':16}  {wall:7.2f} "
             f"({searched:.2f} + {wall - searched:.2f})       {used:12.2f}  {judge(figures).word:9} "
             f"{figures.n_steps + figures.n_burn:4d} {figures.tau.max():6.2f} {least:5.0f} {density.n:12d} "
             f"{density.n / least:9.1f}",

@@ -33,18 +33,17 @@ def main() -> None:
         first = 0.0
         for rate in options.rates:
             posterior, start = find_start(device(rate, beta, noise=noise))
-            top = posterior.natural(start.free[None])[0]
             begin = time.thread_time()
-            posterior = posterior.refined(top)
+            posterior = posterior.refined(start.free)
             prepared = time.thread_time() - begin
-            whole = posterior.refined(top, longest_s=0.0)
+            whole = posterior.refined(start.free, longest_s=0.0)
             spread = np.random.default_rng(1).multivariate_normal(start.free, start.covariance, N_SETS)
-            theta = posterior.natural(spread)
+            theta = posterior.model.natural(spread)
             own = best(lambda p=posterior, t=theta: p.log_likelihood(t), 20) / N_SETS  # type: ignore[misc]
             every = best(lambda p=whole, t=theta: p.log_likelihood(t), 3) / N_SETS  # type: ignore[misc]
             first = first or own
             print(
-                f"{noise:12} {beta:4g} {n_samples(posterior):8d} {posterior.n_blocks:9d} {1e6 * own:14.1f} "
+                f"{noise:12} {beta:4g} {n_samples(posterior):8d} {posterior.blocks.used.size:9d} {1e6 * own:14.1f} "
                 f"{1e6 * every:12.1f} {every / own:6.1f} {own / first:22.1f} {prepared:13.3f}",
                 flush=True,
             )

@@ -30,7 +30,7 @@ import numpy as np
 from one_set import draws_of_one_set, level_and_spread
 
 from shj_bayes.inference.binning import Run, runs_of
-from shj_bayes.inference.posterior import make_posterior
+from shj_bayes.inference.likelihood import make_likelihood
 from shj_bayes.inference.start import _best_noise as best_noise
 from shj_bayes.inference.start import _covariance as curvature
 from shj_bayes.inference.start import descend, find_start, law_residual
@@ -256,7 +256,7 @@ def tested(
 ) -> Specimen:
     """Fit a device with the law alone, and with what was found; None in place of a fit that is not asked for."""
     beliefs = [_laplace(runs, effects, seed, tops) if effects or not i else None for i, effects in enumerate(found)]
-    posterior = make_posterior(runs, beliefs[0].model)  # type: ignore[union-attr]
+    posterior = make_likelihood(runs, beliefs[0].model)  # type: ignore[union-attr]
     starts = tuple(run.start_force_kN for run in runs)
     forces = tuple(r.recording.force_kN for r in runs)
     return Specimen(name, "set", tuple(beliefs), posterior.histories, starts, forces)  # type: ignore[arg-type]
@@ -267,10 +267,10 @@ def _laplace(
 ) -> Belief:
     """Draws of a normal posterior; the search begins at the top of another device of the population."""
     model = DeviceModel(2, read_priors("afc"), effects=effects_named(effects))
-    posterior = make_posterior(runs, model)
+    posterior = make_likelihood(runs, model)
     if effects in tops:
         z = descend(posterior, tops[effects], float(np.std(law_residual(posterior, tops[effects]))))
-        posterior = posterior.refined(model.natural(np.concatenate([z, np.zeros(len(model.names) - z.size)])[None])[0])
+        posterior = posterior.refined(z)
         top = best_noise(posterior, z)
         spread = curvature(posterior, top)
         # One step of Newton's: squares know nothing of slow noise.

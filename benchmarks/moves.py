@@ -20,7 +20,7 @@ from emcee.moves import DEMove, DESnookerMove, KDEMove, MHMove, RedBlueMove, Str
 
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.convergence import autocorrelation_time
-from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.sampler import Proposal, fit_proposal, moves
 from shj_bayes.inference.start import Start, find_start
 from shj_bayes.model.device import DeviceModel
@@ -55,7 +55,7 @@ def start_only(start: Start) -> Proposal:
 
 
 DE: Mix = [(DEMove(), 0.15), (DEMove(gamma0=1.0), 0.05)]
-FITTED: dict[str, Callable[[Posterior, Start], Mix]] = {
+FITTED: dict[str, Callable[[Likelihood, Start], Mix]] = {
     "fitted mixture (shipped)": lambda posterior, start: moves(
         fit_proposal(posterior, start, np.random.default_rng(1))
     ),
@@ -83,7 +83,7 @@ MIXES: dict[str, Callable[[int], Mix]] = {
 
 
 def sample(
-    posterior: Posterior, start: Start, mix: Mix, *, n_walkers: int, n_steps: int, seed: int
+    posterior: Likelihood, start: Start, mix: Mix, *, n_walkers: int, n_steps: int, seed: int
 ) -> tuple[np.ndarray, float, float]:
     """Chain after a fifth of burn-in, accepted share, and seconds per step."""
     d = start.free.size
@@ -108,7 +108,7 @@ def main() -> None:
     options = parser.parse_args()
     truth = Truth(beta=options.beta, gamma=1 / 60, phi=0.0, sigma_slow=0.6)
     device = runs_of(simulate_device(truth, seed=1, rate_Hz=options.rate))
-    posterior, start = find_start(make_posterior(device, DeviceModel(len(device), read_priors("afc"))))
+    posterior, start = find_start(make_likelihood(device, DeviceModel(len(device), read_priors("afc"))))
     d = start.free.size
     print(f"{d} parameters, {options.rate:g} Hz, beta {options.beta:g}, {options.steps} steps, 4 ensembles")
     print(f"{'moves':36s} walkers  acceptance       tau        steps per draw  ms per step  ms per draw  worst")
@@ -126,7 +126,7 @@ def main() -> None:
             print(
                 f"{name:36s} {n_walkers:7d}  {np.mean([a for _, a, _ in runs]):10.3f}  {tau:6.1f} +/- {error:4.1f}"
                 f"  {tau / n_walkers:14.3f}  {step_ms:11.2f}  {step_ms * tau / n_walkers:11.2f}"
-                f"  {posterior.names[worst]}",
+                f"  {posterior.model.names[worst]}",
                 flush=True,
             )
 

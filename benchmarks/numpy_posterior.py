@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import IntArray
 
@@ -58,16 +58,16 @@ class NumpyPosterior:
 
     Parameters
     ----------
-    posterior : Posterior
+    posterior : Likelihood
         Two runs, white and slow noise, the published reversal rule, even sampling, every sample used, no noise of the
         displacement. What is not known beside the parameters, the load cell's zero and the displacement at which each
         run begins, is integrated out as ours is.
     """
 
-    def __init__(self, posterior: Posterior) -> None:
+    def __init__(self, posterior: Likelihood) -> None:
         """Lay out what does not depend on the parameters."""
         self.model, self.n = posterior.model, 0
-        zero_kN = posterior.averages[0].timing.zero_noise_kN
+        zero_kN = posterior.blocks[0].timing.zero_noise_kN
         self.runs = []
         for run in posterior.runs:
             assert run.used.all()

@@ -24,7 +24,7 @@ from numpyro.infer.util import log_density
 
 from shj_bayes.inference.binning import Run
 from shj_bayes.inference.fit import fit
-from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import Prior, read_priors
@@ -100,11 +100,11 @@ def columns_of(measured: Any, modelled: Any, zero_kN: float, start_mm: float, ar
     return measured - modelled, jnp.full(modelled.size, zero_kN), start_mm * slope
 
 
-def model(posterior: Posterior, dense: bool = False) -> None:
+def model(posterior: Likelihood, dense: bool = False) -> None:
     """Law, noise and priors of a device, as a numpyro program."""
     names = ("K", "Fy", "beta", "gamma", "ratio", "sigma_white", "sigma_slow", "tau_slow")
     p = {name: numpyro.sample(name, law_of(posterior.model.priors.of(name))) for name in names}
-    for number, (run, part) in enumerate(zip(posterior.runs, posterior.averages, strict=True), start=1):
+    for number, (run, part) in enumerate(zip(posterior.runs, posterior.blocks, strict=True), start=1):
         motion, measured = run.motion, jnp.asarray(run.recording.force_kN)
         capacity = p["Fy"] * (p["ratio"] if number == 2 else 1.0)
         reset, pieces = run.start_force_kN, []
@@ -131,10 +131,11 @@ def model(posterior: Posterior, dense: bool = False) -> None:
             numpyro.factor(f"force {number}", log_noise(columns, white, slow, decay))
 
 
-def same_density(whole: Posterior, theta: np.ndarray[Any, Any], dense: bool) -> float:
+def same_density(whole: Likelihood, theta: np.ndarray[Any, Any], dense: bool) -> float:
     """Largest departure from a constant of the difference of both log densities at parameter sets, shape (m, d)."""
     theirs = [
-        log_density(model, (whole, dense), {}, dict(zip(whole.names, row, strict=True)))[0] for row in theta.tolist()
+        log_density(model, (whole, dense), {}, dict(zip(whole.model.names, row, strict=True)))[0]
+        for row in theta.tolist()
     ]
     laws = whole.model.laws_of_parameters
     prior = np.sum([law.distribution.logpdf(theta[:, i]) for i, law in enumerate(laws)], axis=0)
@@ -151,8 +152,9 @@ def main() -> int:
     asked = parser.parse_args()
     ours = fit(make_runs(asked.seed), DeviceModel(2, read_priors("afc")), plan=SamplingPlan(seed=asked.seed))
     posterior = ours.posterior
-    draws = np.stack([ours.data["posterior"][name].to_numpy().ravel() for name in posterior.names], axis=1)
-    whole = posterior.refined(draws.mean(axis=0), longest_s=0.0).with_noise_at_rest(0.0)
+    draws = np.stack([ours.data["posterior"][name].to_numpy().ravel() for name in posterior.model.names], axis=1)
+    middle = posterior.model.unbounded(draws.mean(axis=0)[None])[0]
+    whole = posterior.refined(middle, longest_s=0.0).with_noise_at_rest(0.0)
     some = draws[:: draws.shape[0] // 20]
     apart, exact = same_density(whole, some, dense=False), same_density(whole, some, dense=True)
     print(f"log densities differ by one constant to {apart:.1e} at 20 points")
@@ -167,12 +169,12 @@ def main() -> int:
     )
     sampler.run(jax.random.PRNGKey(asked.seed), posterior)
     samples = sampler.get_samples()
-    theirs = np.stack([np.asarray(samples[name]) for name in posterior.names], axis=1)
+    theirs = np.stack([np.asarray(samples[name]) for name in posterior.model.names], axis=1)
     diverging = int(np.sum(sampler.get_extra_fields().get("diverging", np.zeros(1))))
     good = apart < 1e-6 and exact < LEFT_OUT
     print(f"{'':12}{'our mean':>12}{'NUTS mean':>12}{'apart, sd':>11}{'our sd':>11}{'NUTS sd':>11}{'ratio':>8}")
     unbounded = (posterior.model.unbounded(draws), posterior.model.unbounded(theirs))
-    for i, name in enumerate(posterior.names):
+    for i, name in enumerate(posterior.model.names):
         own, other = (z[:, i] for z in unbounded)
         shift, ratio = (own.mean() - other.mean()) / other.std(), own.std() / other.std()
         good &= bool(abs(shift) < MEAN_LIMIT and abs(ratio - 1) < SD_LIMIT)

@@ -57,7 +57,7 @@ def main() -> None:
     for beta in options.beta:
         first = device(20.0, beta)
         _, start = find_start(first)
-        whole = first.refined(first.natural(start.free[None])[0], longest_s=0.0)
+        whole = first.refined(start.free, longest_s=0.0)
         start = polish(whole, [start.free])
         gap = NumpyPosterior(first)(start.free) - whole.log_posterior_free(start.free[None])[0]
         assert abs(gap) < 1e-6, gap

@@ -35,7 +35,7 @@ from shj_bayes.population.hierarchy import (
 from shj_bayes.population.predict import new_device
 from shj_bayes.population.quantities import (
     FloatArray,
-    Likelihood,
+    QuantityLikelihood,
     Rounded,
     of_draws,
     population_prior,
@@ -72,23 +72,23 @@ class Recipe:
 
     name: str
     n_draws: int
-    make: Callable[[FloatArray, FloatArray], Likelihood]
+    make: Callable[[FloatArray, FloatArray], QuantityLikelihood]
 
 
-def hogg(values: FloatArray, log_prior: FloatArray) -> Likelihood:
+def hogg(values: FloatArray, log_prior: FloatArray) -> QuantityLikelihood:
     """Sum over draws: normals of no width."""
     pooled, weight = weighted("Fy", np.exp(values), log_prior)
-    return Likelihood(False, pooled, np.zeros_like(pooled), weight)
+    return QuantityLikelihood(False, pooled, np.zeros_like(pooled), weight)
 
 
-def one_normal(values: FloatArray, log_prior: FloatArray) -> Likelihood:
+def one_normal(values: FloatArray, log_prior: FloatArray) -> QuantityLikelihood:
     """One normal with the mean and variance of the weighted draws."""
     pooled, weight = weighted("Fy", np.exp(values), log_prior)
     mean = np.sum(weight * pooled)
-    return Likelihood(False, np.array([mean]), np.sqrt([np.sum(weight * (pooled - mean) ** 2)]), np.ones(1))
+    return QuantityLikelihood(False, np.array([mean]), np.sqrt([np.sum(weight * (pooled - mean) ** 2)]), np.ones(1))
 
 
-def few_normals(values: FloatArray, log_prior: FloatArray) -> Likelihood:
+def few_normals(values: FloatArray, log_prior: FloatArray) -> QuantityLikelihood:
     """Likelihood as shipped."""
     return of_draws("Fy", np.exp(values), log_prior)
 
@@ -104,7 +104,7 @@ SKEW = 3.0
 
 def exact_and_draws(
     value: float, sd: float, skewed: bool, n: int, rng: np.random.Generator
-) -> tuple[Likelihood, FloatArray, FloatArray]:
+) -> tuple[QuantityLikelihood, FloatArray, FloatArray]:
     """Return one simulated device: exact likelihood, posterior draws under a wide normal prior, their log prior.
 
     The likelihood of a skewed device is a reflected log-gamma density with shape ``SKEW`` (skewness about -0.6).
@@ -126,7 +126,7 @@ def exact_and_draws(
     posterior = weight * stats.norm.pdf(x, centre, width)
     index = rng.choice(x.size, n, p=posterior / posterior.sum())
     draws = x[index] + step * rng.uniform(-0.5, 0.5, n)
-    exact = Likelihood(False, x[::8], np.full(x[::8].size, 4 * step), weight[::8] / weight[::8].sum())
+    exact = QuantityLikelihood(False, x[::8], np.full(x[::8].size, 4 * step), weight[::8] / weight[::8].sum())
     return exact, draws, stats.norm.logpdf(draws, centre, width)
 
 
@@ -266,7 +266,8 @@ def second_run(
         fits = {}
         for k, name in enumerate(("Fy", "ratio")):
             sets = [
-                [Likelihood(False, np.array([v]), np.array([0.01]), np.ones(1)) for v in row[:, k]] for row in values
+                [QuantityLikelihood(False, np.array([v]), np.array([0.01]), np.ones(1)) for v in row[:, k]]
+                for row in values
             ]
             stream = np.random.SeedSequence([seed, n_devices, c, k])
             fits[name] = fit_quantity(name, sets, population_prior(name), stream)

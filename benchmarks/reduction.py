@@ -17,7 +17,7 @@ import numpy as np
 from devices import device, n_samples
 
 from shj_bayes.inference.fit import evenly_spread, weights_of_all_samples
-from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start, polish
 from shj_bayes.model.parameters import FloatArray
@@ -26,9 +26,9 @@ NAMES = ("K", "Fy", "beta", "gamma", "ratio")
 SHIFT_LIMIT, RATIO_LIMIT = 0.05, 0.03
 
 
-def sampled(posterior: Posterior, start: Start) -> FloatArray:
+def sampled(posterior: Likelihood, start: Start) -> FloatArray:
     """Draws of a posterior, shape (n_ensembles, n, d)."""
-    states, figures = run_ensembles(posterior, posterior.names, start, SamplingPlan())
+    states, figures = run_ensembles(posterior, posterior.model.names, start, SamplingPlan())
     return np.stack([state.chain[figures.n_burn :].reshape(-1, start.free.size) for state in states])
 
 
@@ -50,18 +50,18 @@ def main() -> int:
                 draws = sampled(posterior, start)
                 weights, tail = weights_of_all_samples(posterior, start, draws, threads=0)
                 chosen = np.take_along_axis(draws, evenly_spread(weights)[:, :, None], axis=1)
-                whole = posterior.refined(posterior.natural(start.free[None])[0], longest_s=0.0)
+                whole = posterior.refined(start.free, longest_s=0.0)
                 right = sampled(whole, polish(whole, [start.free]))
                 law = [posterior.model.index(name) for name in NAMES]
                 before, after, right = (
-                    posterior.natural(some.reshape(-1, some.shape[-1]))[:, law] for some in (draws, chosen, right)
+                    posterior.model.natural(some.reshape(-1, some.shape[-1]))[:, law] for some in (draws, chosen, right)
                 )
                 shifts = [(some.mean(axis=0) - right.mean(axis=0)) / right.std(axis=0) for some in (before, after)]
                 ratio = after.std(axis=0) / right.std(axis=0)
                 worst = np.maximum(worst, [np.sqrt(np.mean(shifts[1] ** 2)), np.abs(ratio - 1).max()])
                 columns = [" ".join(f"{value:+7.3f}" for value in shift) + " " for shift in shifts]
                 print(
-                    f"{rule:10} {beta:5g} {n_samples(posterior):8d} {posterior.n_blocks:7d} {''.join(columns)}"
+                    f"{rule:10} {beta:5g} {n_samples(posterior):8d} {posterior.blocks.used.size:7d} {''.join(columns)}"
                     + " ".join(f"{value:6.3f}" for value in ratio)
                     + f" {tail:5.2f}",
                     flush=True,

@@ -15,7 +15,7 @@ from timing import Counted
 
 from shj_bayes.inference.convergence import ESS_LIMIT, RHAT_LIMIT, diagnose_chains
 from shj_bayes.inference.fit import evenly_spread, weights_of_all_samples
-from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start, law_starts, polish
 from shj_bayes.model.parameters import FloatArray
@@ -35,30 +35,30 @@ class Draws:
     weights: FloatArray | None = None
 
 
-def reference(whole: Posterior, start: Start) -> FloatArray:
+def reference(whole: Likelihood, start: Start) -> FloatArray:
     """Draws of a long run of shj-bayes on all samples, shape (n_steps, n_walkers, d)."""
     plan = SamplingPlan(seed=77, n_walkers=60, round_steps=200, max_steps=200)
-    states, figures = run_ensembles(whole, whole.names, start, plan)
+    states, figures = run_ensembles(whole, whole.model.names, start, plan)
     return np.concatenate([state.chain[figures.n_burn :] for state in states])
 
 
-def own(first: Posterior, _peer: NumpyPosterior, _start: Start) -> Draws:
+def own(first: Likelihood, _peer: NumpyPosterior, _start: Start) -> Draws:
     """Take shj-bayes as `fit` does: search, averaging, proposal, sampling, weights of all samples."""
     posterior, start = find_start(first, threads=0)
     density = Counted(posterior)
-    states, figures = run_ensembles(density, posterior.names, start, SamplingPlan())
+    states, figures = run_ensembles(density, posterior.model.names, start, SamplingPlan())
     kept = np.stack([state.chain[figures.n_burn :].reshape(-1, start.free.size) for state in states])
     weights, tail = weights_of_all_samples(posterior, start, kept, threads=0)
     worth = float(weights.mean() ** 2 / np.mean(weights**2))
     chosen = np.take_along_axis(kept, evenly_spread(weights)[:, :, None], axis=1)
-    note = f"with the search; {posterior.n_blocks} averages; Pareto k {tail:.2f}"
+    note = f"with the search; {posterior.blocks.used.size} averages; Pareto k {tail:.2f}"
     return Draws(chosen, worth * float(figures.ess_bulk.min()), density.n, note)
 
 
 def ensembles(mix: Callable[[], list[tuple[emcee.moves.Move, float]]]) -> Callable[..., Draws]:
     """Four emcee ensembles with given moves, run in rounds of 500 steps until they agree."""
 
-    def sample(first: Posterior, posterior: NumpyPosterior, start: Start) -> Draws:
+    def sample(first: Likelihood, posterior: NumpyPosterior, start: Start) -> Draws:
         d = start.free.size
         root = np.linalg.cholesky(start.covariance)
         samplers, states = [], []
@@ -71,7 +71,7 @@ def ensembles(mix: Callable[[], list[tuple[emcee.moves.Move, float]]]) -> Callab
         while True:
             states = [s.run_mcmc(x, 500, skip_initial_state_check=True) for s, x in zip(samplers, states, strict=True)]
             chains = [s.get_chain() for s in samplers]
-            figures = diagnose_chains(first.names, chains, np.ones((N_CHAINS, 28)))
+            figures = diagnose_chains(first.model.names, chains, np.ones((N_CHAINS, 28)))
             if (figures.ess_bulk.min() >= ESS_LIMIT and figures.rhat.max() < RHAT_LIMIT) or len(chains[0]) >= 4000:
                 kept = np.stack([chain[figures.n_burn :] for chain in chains])
                 return Draws(kept, float(figures.ess_bulk.min()), posterior.n, f"{len(chains[0])} steps")
@@ -79,13 +79,13 @@ def ensembles(mix: Callable[[], list[tuple[emcee.moves.Move, float]]]) -> Callab
     return sample
 
 
-def laplace_from_our_law(first: Posterior, posterior: NumpyPosterior, _start: Start) -> Draws:
+def laplace_from_our_law(first: Likelihood, posterior: NumpyPosterior, _start: Start) -> Draws:
     """Laplace with importance sampling that starts from the law of our compiled least squares."""
     law = law_starts(first)[0]
-    return _laplace(posterior, np.append(law, np.zeros(len(first.names) - law.size)))
+    return _laplace(posterior, np.append(law, np.zeros(len(first.model.names) - law.size)))
 
 
-def laplace_alone(_first: Posterior, posterior: NumpyPosterior, start: Start) -> Draws:
+def laplace_alone(_first: Likelihood, posterior: NumpyPosterior, start: Start) -> Draws:
     """Laplace with importance sampling that starts from the middle of the priors, with nothing of ours."""
     return _laplace(posterior, np.zeros(start.free.size))
 
@@ -115,7 +115,7 @@ def _laplace(posterior: NumpyPosterior, first: FloatArray) -> Draws:
             return Draws(z, ess, posterior.n, "ESS of weights", weight)
 
 
-def pints_adaptive(first: Posterior, posterior: NumpyPosterior, start: Start) -> Draws:
+def pints_adaptive(first: Likelihood, posterior: NumpyPosterior, start: Start) -> Draws:
     """PINTS' adaptive covariance sampler, four chains."""
     pints: Any = importlib.import_module("pints")
     d = start.free.size
@@ -135,11 +135,11 @@ def pints_adaptive(first: Posterior, posterior: NumpyPosterior, start: Start) ->
     control.set_max_iterations(n)
     control.set_log_to_screen(False)
     kept = np.asarray(control.run())[:, n // 5 :]
-    figures = diagnose_chains(first.names, [c[:, None] for c in kept], np.ones((N_CHAINS, 1)))
+    figures = diagnose_chains(first.model.names, [c[:, None] for c in kept], np.ones((N_CHAINS, 1)))
     return Draws(kept, float(figures.ess_bulk.min()), posterior.n, f"{n} iterations, R-hat {figures.rhat.max():.3f}")
 
 
-def nested(_first: Posterior, posterior: NumpyPosterior, start: Start) -> Draws:
+def nested(_first: Likelihood, posterior: NumpyPosterior, start: Start) -> Draws:
     """Use dynesty with random walks, on a box of ten standard deviations around the top as prior."""
     dynesty: Any = importlib.import_module("dynesty")
     d = start.free.size
@@ -159,10 +159,10 @@ def nested(_first: Posterior, posterior: NumpyPosterior, start: Start) -> Draws:
     return Draws(np.asarray(result.samples), float(1 / np.sum(weight**2)), posterior.n, "ESS of weights", weight)
 
 
-def transitional(first: Posterior, posterior: NumpyPosterior, _start: Start) -> Draws:
+def transitional(first: Likelihood, posterior: NumpyPosterior, _start: Start) -> Draws:
     """Go from prior to posterior by tempering, as quoFEM's TMCMC does (Ching and Chen 2007), 1000 particles."""
     rng = np.random.default_rng(1)
-    n, d = 1000, len(first.names)
+    n, d = 1000, len(first.model.names)
     z = rng.standard_normal((n, d))  # the prior, in the unbounded space
     low = first.model.log_prior(z)
     height = posterior.log_posterior_free(z) - low
@@ -191,7 +191,7 @@ def transitional(first: Posterior, posterior: NumpyPosterior, _start: Start) -> 
     return Draws(z, float(unique), posterior.n, f"{stages} stages; ESS: different particles at the end")
 
 
-def no_u_turn(first: Posterior, posterior: NumpyPosterior, start: Start) -> Draws:
+def no_u_turn(first: Likelihood, posterior: NumpyPosterior, start: Start) -> Draws:
     """NumPyro's NUTS on the law in JAX, whitened by the curvature at the top; compilation counts."""
     jax: Any = importlib.import_module("jax")
     infer: Any = importlib.import_module("numpyro.infer")
@@ -241,12 +241,12 @@ def no_u_turn(first: Posterior, posterior: NumpyPosterior, start: Start) -> Draw
     begin = np.random.default_rng(1).standard_normal((N_CHAINS, start.free.size))
     sampler.run(jax.random.PRNGKey(1), init_params=np_.asarray(begin), extra_fields=("num_steps",))
     kept = start.free + np.asarray(sampler.get_samples(group_by_chain=True)) @ root.T
-    figures = diagnose_chains(first.names, [c[:, None] for c in kept], np.ones((N_CHAINS, 1)))
+    figures = diagnose_chains(first.model.names, [c[:, None] for c in kept], np.ones((N_CHAINS, 1)))
     gradients = int(np.asarray(sampler.get_extra_fields()["num_steps"]).sum())
     return Draws(kept, float(figures.ess_bulk.min()), gradients, "evaluations: gradients after warm-up")
 
 
-SAMPLERS: dict[str, Callable[[Posterior, NumpyPosterior, Start], Draws]] = {
+SAMPLERS: dict[str, Callable[[Likelihood, NumpyPosterior, Start], Draws]] = {
     "shj-bayes": own,
     "Laplace + importance sampling": laplace_alone,
     "the same, from our least squares": laplace_from_our_law,

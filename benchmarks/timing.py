@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from shj_bayes.inference.posterior import Density
+from shj_bayes.inference.likelihood import Density
 from shj_bayes.model.parameters import FloatArray
 
 

@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from shj_bayes.app import campaign
 from shj_bayes.inference.binning import Run
-from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.noise.noise import DEFAULT, noise_model
 from shj_bayes.model.parameters import base_and_run
@@ -68,22 +68,22 @@ def small_posterior(
     priors: Priors | None = None,
     blocks: tuple[Block, ...] = BLOCKS,
     rate_Hz: float = RATE_HZ,
-) -> Posterior:
+) -> Likelihood:
     """Two short blocks, simulated and bound to the exact motion."""
     recordings = simulate_device(truth, seed=seed, rate_Hz=rate_Hz, n_runs=n_runs, blocks=blocks, variant=variant)
     # The exact motion keeps the reader's smoothing out of tests of the law, the noise and the sampler.
     _, motion = exact_motion(blocks, rate_Hz)
     runs = [Run(recording, motion) for recording in recordings]
     own = {"effects": effects_named(effects), "noise": noise_model(noise), "free": free, "variant": variant}
-    return make_posterior(runs, DeviceModel(n_runs, priors or read_priors("afc"), **own))
+    return make_likelihood(runs, DeviceModel(n_runs, priors or read_priors("afc"), **own))
 
 
-def vector_of(posterior: Posterior, truth: Truth = TRUTH) -> np.ndarray:
+def vector_of(posterior: Likelihood, truth: Truth = TRUTH) -> np.ndarray:
     """Truth as one parameter set in natural units, shape (1, d); what it does not hold is as its prior expects."""
     # Where there is no slow part its size is a small one: a scale of 0 has no logarithm.
     noise = {"sigma_white": truth.sigma, "sigma_slow": max(truth.sigma_slow, 1e-3), "tau_slow": truth.tau_slow}
     values = []
-    for name, prior in zip(posterior.names, posterior.model.laws_of_parameters, strict=True):
+    for name, prior in zip(posterior.model.names, posterior.model.laws_of_parameters, strict=True):
         base, run = (name, 1) if "." in name else base_and_run(name)
         value = noise.get(base, getattr(truth, base, None))
         if base == "ratio":
@@ -93,13 +93,13 @@ def vector_of(posterior: Posterior, truth: Truth = TRUTH) -> np.ndarray:
 
 
 @pytest.fixture(scope="session")
-def make_small() -> Callable[..., Posterior]:
+def make_small() -> Callable[..., Likelihood]:
     """Factory of posteriors of about 270 samples a run; keyword arguments as in `small_posterior`."""
     return small_posterior
 
 
 @pytest.fixture(scope="session")
-def small_device() -> Posterior:
+def small_device() -> Likelihood:
     """Two runs of one device, white and slow noise."""
     return small_posterior()
 

@@ -18,11 +18,11 @@ SRC = ROOT / "src" / "shj_bayes"
 RESULTS = re.compile(r"\b(fit|diagnosis|campaign|population|summary|residual)\.json\b|\b(posterior|diagnosis)\.nc\b")
 READS = re.compile(r"\b(read_json|open_dataset|open_group|InferenceData|from_netcdf|json\.loads?)\(")
 LIMITS = {
-    "lines": 38_971,
+    "lines": 38_951,
     "files": 174,
-    "dataclasses": 191,
+    "dataclasses": 192,
     "class names that exist twice": 0,
-    "methods of the largest class": 28,
+    "methods of the largest class": 26,
     "modules that open a result file": 2,
     "layers of the import contract": 13,
     "modules in circles of imports": 0,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
 from shj_bayes.inference.start import find_start
 from shj_bayes.mismatch.diagnosis import diagnose
@@ -98,9 +98,9 @@ class TestLaw:
         for row in force_of_laws(motion, laws() * np.array([1.0, 1.0, 1.0, 0.0]), variant=variant):
             assert np.sum(0.5 * (row[1:] + row[:-1]) * np.diff(motion.displacement_mm)) > 0
 
-    def test_fits_its_own_recording(self, variant: str, make_small: Callable[..., Posterior]) -> None:
+    def test_fits_its_own_recording(self, variant: str, make_small: Callable[..., Likelihood]) -> None:
         posterior, start = find_start(make_small(variant=variant))
-        values = dict(zip(posterior.names, posterior.natural(start.free[None])[0], strict=True))
+        values = dict(zip(posterior.model.names, posterior.model.natural(start.free[None])[0], strict=True))
         assert values["Fy"] == pytest.approx(80.0, rel=0.05)
         assert values["ratio"] == pytest.approx(0.8, rel=0.05)
 
@@ -172,7 +172,7 @@ class TestNoise:
             assert mean() > max(mean(**{name: 0.8 * value}), mean(**{name: 1.25 * value})), name
 
     def test_whole_posterior(
-        self, model: str, make_small: Callable[..., Posterior], as_vector: Callable[..., np.ndarray]
+        self, model: str, make_small: Callable[..., Likelihood], as_vector: Callable[..., np.ndarray]
     ) -> None:
         posterior = make_small(noise=model, free=SHAREABLE)
         theta = np.repeat(as_vector(posterior), 3, axis=0)
@@ -198,7 +198,7 @@ def test_registries_and_descriptions_agree() -> None:
 
 
 def test_a_noise_model_brings_its_own_parameter(
-    small_device: Posterior, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+    small_device: Likelihood, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:
     """It names unit, meaning and prior itself; the searches of a fit and of a diagnosis need no value to begin at."""
     law = ("uniform", 0.0, 1.0, "Nothing assumed.")
@@ -215,13 +215,13 @@ def test_a_noise_model_brings_its_own_parameter(
         names.cache_clear()
         request.addfinalizer(names.cache_clear)
     device = DeviceModel(2, read_priors("afc"), noise=model)
-    posterior, start = find_start(make_posterior(small_device.runs, device))
-    values = dict(zip(posterior.names, posterior.natural(start.free[None])[0], strict=True))
+    posterior, start = find_start(make_likelihood(small_device.runs, device))
+    values = dict(zip(posterior.model.names, posterior.model.natural(start.free[None])[0], strict=True))
     assert values["sigma"] == pytest.approx(1.0, rel=0.3)  # the root of 0.8^2 + 0.6^2
     assert diagnose(small_device.runs, device, DiagnoseOptions(quick=True)).content["verdict"] == "adequate"
 
 
-def test_values_survive_pickling(small_device: Posterior, as_vector: Callable[..., np.ndarray]) -> None:
+def test_values_survive_pickling(small_device: Likelihood, as_vector: Callable[..., np.ndarray]) -> None:
     """Campaigns send posteriors to other processes."""
     copy = pickle.loads(pickle.dumps(small_device))
     theta = as_vector(small_device)

@@ -19,41 +19,41 @@ import pytest
 
 from shj_bayes.errors import CheckpointError, InferenceError
 from shj_bayes.inference import sampler as checkpoint
-from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.sampler import EnsembleState, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start
 from shj_bayes.model.priors import read_priors
 
-Make = Callable[..., Posterior]
+Make = Callable[..., Likelihood]
 WORKER = Path(__file__).with_name("worker.py")
 ROUND, STEPS = 12, 60  # five rounds: too few to converge, so that every run makes all of them; as in worker.py
 
 
 @pytest.fixture(scope="module")
-def found(make_small: Make) -> tuple[Posterior, Start]:
+def found(make_small: Make) -> tuple[Likelihood, Start]:
     """Posterior of the small device and its MAP, as a fit finds them."""
     return find_start(make_small())
 
 
 @pytest.fixture(scope="module")
-def small(found: tuple[Posterior, Start]) -> Posterior:
+def small(found: tuple[Likelihood, Start]) -> Likelihood:
     """Posterior of the small device."""
     return found[0]
 
 
 @pytest.fixture(scope="module")
-def start(found: tuple[Posterior, Start]) -> Start:
+def start(found: tuple[Likelihood, Start]) -> Start:
     """MAP of the small device."""
     return found[1]
 
 
 def sample(
-    posterior: Posterior, start: Start, *, seed: int = 1, threads: int = 0, density: object = None, **more: object
+    posterior: Likelihood, start: Start, *, seed: int = 1, threads: int = 0, density: object = None, **more: object
 ) -> list[EnsembleState]:
     """Five rounds."""
     plan = SamplingPlan(seed=seed, round_steps=ROUND, max_steps=STEPS, threads=threads)
     density = posterior if density is None else density
-    states, _ = run_ensembles(density, posterior.names, start, plan, fingerprint=posterior.fingerprint, **more)  # type: ignore[arg-type]
+    states, _ = run_ensembles(density, posterior.model.names, start, plan, fingerprint=posterior.fingerprint, **more)  # type: ignore[arg-type]
     return states
 
 
@@ -72,7 +72,7 @@ def assert_same_bits(a: list[EnsembleState], b: list[EnsembleState]) -> None:
 class Interrupting:
     """A density, until call number `at`: then as if Ctrl-C were pressed there."""
 
-    def __init__(self, posterior: Posterior, at: int) -> None:
+    def __init__(self, posterior: Likelihood, at: int) -> None:
         self.posterior, self.at, self.calls, self.lock = posterior, at, 0, threading.Lock()
 
     def log_posterior_free(self, z: np.ndarray) -> np.ndarray:
@@ -85,7 +85,7 @@ class Interrupting:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_runs_are_repeatable_and_seeds_differ(small: Posterior, start: Start, seed: int) -> None:
+def test_runs_are_repeatable_and_seeds_differ(small: Likelihood, start: Start, seed: int) -> None:
     states = sample(small, start, seed=seed)
     np.random.seed(12345)  # noqa: NPY002 - a run must not depend on the global stream
     assert_same_bits(states, sample(small, start, seed=seed))
@@ -94,7 +94,7 @@ def test_runs_are_repeatable_and_seeds_differ(small: Posterior, start: Start, se
         assert not np.array_equal(states[0].chain[0], other.chain[0])
 
 
-def test_threads_do_not_change_the_numbers(small: Posterior, start: Start) -> None:
+def test_threads_do_not_change_the_numbers(small: Likelihood, start: Start) -> None:
     serial = sample(small, start, threads=1)
     for threads in (2, 4):
         assert_same_bits(serial, sample(small, start, threads=threads))
@@ -103,7 +103,7 @@ def test_threads_do_not_change_the_numbers(small: Posterior, start: Start) -> No
 # 7 calls start the ensembles; each round is about 4 x 12 x 1.1 calls: the start, the first, a middle, the last round
 @pytest.mark.parametrize("at", [2, 40, 150, 250])
 @pytest.mark.parametrize("seed", [1, 7])
-def test_interrupted_and_resumed(small: Posterior, start: Start, tmp_path: Path, seed: int, at: int) -> None:
+def test_interrupted_and_resumed(small: Likelihood, start: Start, tmp_path: Path, seed: int, at: int) -> None:
     path = tmp_path / "checkpoint.h5"
     with pytest.raises(KeyboardInterrupt):
         sample(small, start, seed=seed, density=Interrupting(small, at), path=path, threads=2)
@@ -112,7 +112,7 @@ def test_interrupted_and_resumed(small: Posterior, start: Start, tmp_path: Path,
     assert_same_bits(resumed, sample(small, start, seed=seed, threads=1))
 
 
-def test_interrupted_again_and_again(small: Posterior, start: Start, tmp_path: Path) -> None:
+def test_interrupted_again_and_again(small: Likelihood, start: Start, tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.h5"
     for _ in range(4):
         with pytest.raises(KeyboardInterrupt):
@@ -120,7 +120,7 @@ def test_interrupted_again_and_again(small: Posterior, start: Start, tmp_path: P
     assert_same_bits(sample(small, start, path=path), sample(small, start))
 
 
-def kill_and_compare(posterior: Posterior, start: Start, folder: Path, seed: int, wait_s: float) -> None:
+def kill_and_compare(posterior: Likelihood, start: Start, folder: Path, seed: int, wait_s: float) -> None:
     """SIGKILL a fit in another process `wait_s` after its first checkpoint, resume here, compare."""
     path = folder / "checkpoint.h5"
     process = subprocess.Popen([sys.executable, str(WORKER), str(path), str(seed), "0.003"])
@@ -139,7 +139,7 @@ def kill_and_compare(posterior: Posterior, start: Start, folder: Path, seed: int
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
-def test_killed_and_resumed(small: Posterior, start: Start, tmp_path: Path) -> None:
+def test_killed_and_resumed(small: Likelihood, start: Start, tmp_path: Path) -> None:
     wait_s = float(np.random.default_rng().uniform(0.0, 0.15))  # a new moment each time; the bits must not depend on it
     kill_and_compare(small, start, tmp_path, seed=5, wait_s=wait_s)
 
@@ -147,7 +147,7 @@ def test_killed_and_resumed(small: Posterior, start: Start, tmp_path: Path) -> N
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 @pytest.mark.parametrize("number", range(8))
-def test_killed_at_many_moments(small: Posterior, start: Start, tmp_path: Path, number: int) -> None:
+def test_killed_at_many_moments(small: Likelihood, start: Start, tmp_path: Path, number: int) -> None:
     kill_and_compare(small, start, tmp_path, seed=number, wait_s=0.02 * number)
 
 
@@ -156,7 +156,7 @@ def test_killed_at_many_moments(small: Posterior, start: Start, tmp_path: Path, 
 
 @pytest.fixture(scope="module")
 def saved(
-    small: Posterior, start: Start, tmp_path_factory: pytest.TempPathFactory
+    small: Likelihood, start: Start, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[bytes, list[EnsembleState]]:
     """A checkpoint as bytes, and what it holds."""
     path = tmp_path_factory.mktemp("saved") / "checkpoint.h5"
@@ -165,7 +165,7 @@ def saved(
 
 
 def test_checkpoint_holds_what_was_run(
-    small: Posterior, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
+    small: Likelihood, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(saved[0])
@@ -176,7 +176,7 @@ def test_checkpoint_holds_what_was_run(
     assert [p.name for p in tmp_path.iterdir()] == ["checkpoint.h5"]
 
 
-STRANGERS: dict[str, Callable[[Make], Posterior]] = {
+STRANGERS: dict[str, Callable[[Make], Likelihood]] = {
     "recordings": lambda make: make(seed=2),
     "parameters": lambda make: make(free=("gamma",)),
     "noise": lambda make: make(noise="student"),
@@ -194,7 +194,7 @@ def test_checkpoint_of_another_posterior_is_refused(
     stranger = STRANGERS[field](make_small)
     if field == "model":  # the same recordings under the other law, not those simulated with it
         stranger = make_small()
-        stranger = make_posterior(stranger.runs, dataclasses.replace(stranger.model, variant="continuous"))
+        stranger = make_likelihood(stranger.runs, dataclasses.replace(stranger.model, variant="continuous"))
     origin = Start(np.zeros(len(stranger.names)), np.eye(len(stranger.names)), 0.0)
     with pytest.raises(CheckpointError, match=r"checkpoint\.h5 belongs to another problem: its .* differ") as caught:
         sample(stranger, origin, path=path)
@@ -207,7 +207,7 @@ def test_checkpoint_of_another_posterior_is_refused(
 
 @pytest.mark.parametrize("change", [{"seed": 2}, {"n_ensembles": 5}, {"n_walkers": 30}])
 def test_checkpoint_of_another_plan_is_refused(
-    small: Posterior,
+    small: Likelihood,
     start: Start,
     saved: tuple[bytes, list[EnsembleState]],
     tmp_path: Path,
@@ -217,16 +217,16 @@ def test_checkpoint_of_another_plan_is_refused(
     path.write_bytes(saved[0])
     plan = SamplingPlan(**({"seed": 1, "round_steps": ROUND, "max_steps": STEPS} | change))
     with pytest.raises(CheckpointError, match="its plan"):
-        run_ensembles(small, small.names, start, plan, fingerprint=small.fingerprint, path=path)
+        run_ensembles(small, small.model.names, start, plan, fingerprint=small.fingerprint, path=path)
 
 
 def test_a_longer_plan_goes_on_from_the_checkpoint(
-    small: Posterior, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
+    small: Likelihood, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(saved[0])
     plan = SamplingPlan(seed=1, round_steps=7, max_steps=74)  # other rounds, same bits
-    states, _ = run_ensembles(small, small.names, start, plan, fingerprint=small.fingerprint, path=path)
+    states, _ = run_ensembles(small, small.model.names, start, plan, fingerprint=small.fingerprint, path=path)
     assert states[0].chain.shape[0] == 74
     for old, new in zip(saved[1], states, strict=True):
         assert np.array_equal(old.chain, new.chain[:STEPS])
@@ -243,7 +243,7 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
 
 @pytest.mark.parametrize("kind", DAMAGE)
 def test_damaged_checkpoint_is_refused(
-    small: Posterior, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path, kind: str
+    small: Likelihood, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path, kind: str
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(DAMAGE[kind](saved[0]))
@@ -252,14 +252,16 @@ def test_damaged_checkpoint_is_refused(
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes in the file system")
-def test_a_pipe_in_the_place_of_a_checkpoint_is_refused_at_once(small: Posterior, start: Start, tmp_path: Path) -> None:
+def test_a_pipe_in_the_place_of_a_checkpoint_is_refused_at_once(
+    small: Likelihood, start: Start, tmp_path: Path
+) -> None:
     os.mkfifo(tmp_path / "checkpoint.h5")
     with pytest.raises(CheckpointError, match="not an ordinary file"):
         sample(small, start, path=tmp_path / "checkpoint.h5")
 
 
 def test_no_flipped_bit_goes_unnoticed(
-    small: Posterior, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
+    small: Likelihood, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
 ) -> None:
     """One bit changed anywhere is refused."""
     path = tmp_path / "checkpoint.h5"
@@ -283,7 +285,7 @@ def changed(path: Path) -> Iterator[h5py.File]:
 
 @pytest.mark.parametrize("missing", ["ensemble_2", "ensemble_1/chain", "ensemble_0/random_keys"])
 def test_incomplete_checkpoint_is_refused(
-    small: Posterior, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path, missing: str
+    small: Likelihood, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path, missing: str
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(saved[0])
@@ -314,7 +316,7 @@ def put(file: h5py.File, name: str, values: np.ndarray) -> None:
 
 @pytest.mark.parametrize("kind", STRANGE)
 def test_checkpoint_that_no_fit_leaves_is_refused(
-    small: Posterior, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path, kind: str
+    small: Likelihood, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path, kind: str
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(saved[0])
@@ -325,7 +327,7 @@ def test_checkpoint_that_no_fit_leaves_is_refused(
 
 
 def test_checkpoint_of_another_version_is_refused(
-    small: Posterior, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
+    small: Likelihood, start: Start, saved: tuple[bytes, list[EnsembleState]], tmp_path: Path
 ) -> None:
     path = tmp_path / "checkpoint.h5"
     path.write_bytes(saved[0])
@@ -346,12 +348,12 @@ def test_checkpoint_of_another_version_is_refused(
         ({"n_walkers": 9}, "9 walkers: at least 16 are needed for 8 parameters"),
     ],
 )
-def test_plans_without_a_verdict(small: Posterior, start: Start, plan: dict[str, int], message: str) -> None:
+def test_plans_without_a_verdict(small: Likelihood, start: Start, plan: dict[str, int], message: str) -> None:
     with pytest.raises(InferenceError, match=re.escape(message)):
-        run_ensembles(small, small.names, start, SamplingPlan(**plan))
+        run_ensembles(small, small.model.names, start, SamplingPlan(**plan))
 
 
-def test_no_finite_start(small: Posterior, start: Start) -> None:
+def test_no_finite_start(small: Likelihood, start: Start) -> None:
     class Nowhere:
         def log_posterior_free(self, z: np.ndarray) -> np.ndarray:
             return np.full(z.shape[0], -np.inf)

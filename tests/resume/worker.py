@@ -26,9 +26,8 @@ def main(path: Path, seed: int, delay_s: float) -> None:
             time.sleep(delay_s)
             return posterior.log_posterior_free(z)
 
-    run_ensembles(
-        Slow(), posterior.names, start, SamplingPlan(seed=seed, **PLAN), fingerprint=posterior.fingerprint, path=path,
-    )  # fmt: skip
+    names, identity = posterior.model.names, posterior.fingerprint
+    run_ensembles(Slow(), names, start, SamplingPlan(seed=seed, **PLAN), fingerprint=identity, path=path)
 
 
 if __name__ == "__main__":

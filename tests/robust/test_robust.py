@@ -9,7 +9,7 @@ import pytest
 
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.binning import runs_of
-from shj_bayes.inference.posterior import make_posterior
+from shj_bayes.inference.likelihood import make_likelihood
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.reader import read
@@ -60,8 +60,8 @@ def density_of(made: Case, paths: list[Path]) -> tuple[np.ndarray | None, str]:
             assert check_recording(path)
         runs = runs_of(settle([read(path) for path in paths], "one"))
         device = DeviceModel(len(runs), read_priors("general"), variant=made.options["model"])
-        posterior = make_posterior(runs, device)
-        return posterior.log_posterior_free(np.zeros((1, len(posterior.names)))), ""
+        posterior = make_likelihood(runs, device)
+        return posterior.log_posterior_free(np.zeros((1, len(posterior.model.names)))), ""
     except ShjError as error:
         return None, str(error)
 

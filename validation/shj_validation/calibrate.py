@@ -41,7 +41,7 @@ from shj_bayes._util.files import write_text
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.convergence import judge
-from shj_bayes.inference.posterior import Density, Posterior, make_posterior
+from shj_bayes.inference.likelihood import Density, Likelihood, make_likelihood
 from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.device import DeviceModel
@@ -71,7 +71,7 @@ LAW = ("K", "Fy", "beta", "gamma", "ratio")  # the others, of the noise, describ
 class WithJacobian:
     """A posterior with the Jacobian counted once more, in the likelihood, where it does not belong."""
 
-    def __init__(self, posterior: Posterior) -> None:
+    def __init__(self, posterior: Likelihood) -> None:
         self.posterior = posterior
 
     def log_posterior_free(self, z: Floats) -> Floats:
@@ -125,13 +125,13 @@ def draw(
         recordings = simulate_device(truth, seed=int(rng.integers(2**31)), rate_Hz=rate_Hz, blocks=blocks)
         if broken == "signed":
             recordings = _with_signed_speed(recordings, truth, blocks, rate_Hz)
-        posterior, start = find_start(make_posterior(runs_of(recordings), model))
+        posterior, start = find_start(make_likelihood(runs_of(recordings), model))
         density: Density = WithJacobian(posterior) if broken == "jacobian" else posterior
         plan = SamplingPlan(seed=int(rng.integers(2**31)), max_steps=max_steps, threads=1)
-        states, figures = run_ensembles(density, posterior.names, start, plan)
+        states, figures = run_ensembles(density, posterior.model.names, start, plan)
         chains = np.stack([state.chain[figures.n_burn :] for state in states])
-        theta = posterior.natural(chains.reshape(-1, len(posterior.names)))
-        draws = {name: row for name, row in zip(posterior.names, theta.T, strict=True) if name in values}
+        theta = posterior.model.natural(chains.reshape(-1, len(posterior.model.names)))
+        draws = {name: row for name, row in zip(posterior.model.names, theta.T, strict=True) if name in values}
     except ShjError as error:
         return record | {"error": str(error), "seconds": time.perf_counter() - begin}
     ranked = ranks_of(draws, values)

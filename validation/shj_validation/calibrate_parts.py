@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.population.hierarchy import fit_quantity
-from shj_bayes.population.quantities import Likelihood, PopulationPrior, population_prior
+from shj_bayes.population.quantities import PopulationPrior, QuantityLikelihood, population_prior
 from shj_bayes.results.fit import Trust
 
 Floats = NDArray[np.float64]
@@ -51,7 +51,7 @@ def draw_margins(number: int, seed: int, *, n_sets: int, n_devices: int, sd: flo
     mu, tau = rng.normal(level, between, n_sets), typical * np.exp(unequal * rng.standard_normal(n_sets))
     devices = rng.normal(mu[:, None], tau[:, None], (n_sets, n_devices))
     measured = devices + sd * rng.standard_normal(devices.shape)
-    sets = [[Likelihood(False, np.array([m]), np.array([sd]), np.ones(1)) for m in row] for row in measured]
+    sets = [[QuantityLikelihood(False, np.array([m]), np.array([sd]), np.ones(1)) for m in row] for row in measured]
     fit = fit_quantity("Fy", sets, prior, np.random.SeedSequence([seed, number]))
     draws, truth = {}, {}
     for name, index in (("new device", 0), ("device of a set never tested", None)):

@@ -29,7 +29,7 @@ from shj_bayes.app.resume import (
 from shj_bayes.errors import InferenceError, ModelError, RecordingError, StrangeCheckpointError, plain_lines, plain_text
 from shj_bayes.inference.binning import Run, runs_of
 from shj_bayes.inference.fit import fit
-from shj_bayes.inference.posterior import make_posterior
+from shj_bayes.inference.likelihood import make_likelihood
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan
 from shj_bayes.inference.start import find_start
 from shj_bayes.inference.store import versions
@@ -329,9 +329,9 @@ def examine() -> tuple[dict[str, Any], str]:
     """Fit a small simulated device and time the law: what is installed, whether it works, how fast this machine is."""
     begin = time.perf_counter()
     runs = runs_of(simulate_device(TRUTH, seed=1, rate_Hz=20.0))
-    posterior, start = find_start(make_posterior(runs, DeviceModel(len(runs), read_priors())))
+    posterior, start = find_start(make_likelihood(runs, DeviceModel(len(runs), read_priors())))
     first = time.perf_counter() - begin
-    theta = posterior.natural(start.free[None])[0]
+    theta = posterior.model.natural(start.free[None])[0]
     error = {name: abs(theta[posterior.model.index(name)] / getattr(TRUTH, name) - 1) for name in ("K", "Fy", "gamma")}
     works = bool(max(error.values()) < 0.05)
     batch = np.repeat(theta[None], 16, axis=0)
@@ -351,7 +351,7 @@ def examine() -> tuple[dict[str, Any], str]:
             else "no Chromium, Chrome or Edge found; print by hand",
         },
         "first_fit_s": first,
-        "likelihood_ns_per_block": 1e9 * seconds / (16 * posterior.n_blocks),
+        "likelihood_ns_per_block": 1e9 * seconds / (16 * posterior.blocks.used.size),
     }
     lines = [f"{name:12}{version}" for name, version in record["versions"].items()]
     lines += [f"{name:12}{value}" for name, value in record["machine"].items()]

@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from shj_bayes.errors import InferenceError
-from shj_bayes.model.device import UNLOADED
+from shj_bayes.model.device import UNLOADED, DeviceModel
 from shj_bayes.model.filter import Timing
 from shj_bayes.model.history import History, Measured, histories, measured_in
 from shj_bayes.model.parameters import FloatArray
@@ -179,7 +179,7 @@ class BinnedRun:
     force_kN: FloatArray  # shape (n,): measured force, mean of each block
     count: FloatArray  # shape (n,): samples in each block; 0 for one that only keeps a half-cycle from being empty
     timing: Timing  # when the blocks were taken
-    start_force_kN: float  # rate-free force at the first sample of the run
+    run: Run  # what they are blocks of
 
     @property
     def n(self) -> int:
@@ -187,8 +187,12 @@ class BinnedRun:
         return int(self.force_kN.size)
 
     def mean(self, values: FloatArray) -> FloatArray:
-        """Mean over each block, shape (n,), of values at the points, shape (n_points,)."""
-        return np.asarray(np.add.reduceat(values, self.first[:-1]) / np.diff(self.first))
+        """Mean over each block of values at the points, shape (n_points, ...) to (n, ...)."""
+        return np.asarray((np.add.reduceat(values, self.first[:-1], axis=0).T / np.diff(self.first)).T)
+
+    def force(self, model: DeviceModel, theta: FloatArray) -> FloatArray:
+        """Modelled force at the points for parameter sets in natural units, shape (m, d) to (m, n_points), kN."""
+        return model.force(theta, self.history, self.run.start_force_kN)
 
     def residual_and_slope(self, force_kN: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measured less modelled force of each block, kN (0 without samples), and its slope, kN/mm, shape (m, n).
@@ -211,9 +215,38 @@ class BinnedRun:
         return out
 
 
+class Blocks(tuple[BinnedRun, ...]):
+    """Consecutive runs of a device in blocks; arrays hold those of all runs, one behind the other."""
+
+    @cached_property
+    def n_samples(self) -> FloatArray:
+        """Samples that each block is the mean of, shape (n,); 0 where it is no evidence."""
+        return np.concatenate([part.count for part in self])
+
+    @cached_property
+    def used(self) -> FloatArray:
+        """1 for blocks that are evidence, 0 for the others, shape (n,)."""
+        return (self.n_samples > 0).astype(np.float64)
+
+    @cached_property
+    def force_kN(self) -> FloatArray:
+        """Measured force, shape (n,), kN."""
+        return np.concatenate([part.force_kN for part in self])
+
+    def mean(self, values: Sequence[FloatArray]) -> FloatArray:
+        """Means of functions at the points of each run, shapes (n_points, ...) to (n, ...); 0 without evidence."""
+        means = np.concatenate([part.mean(own) for part, own in zip(self, values, strict=True)])
+        means[self.used == 0] = 0.0
+        return means
+
+    def channel(self, name: str) -> FloatArray:
+        """Channel of the histories, shape (n,)."""
+        return self.mean([getattr(part.history, name) for part in self])
+
+
 def reduce_runs(
     runs: Sequence[Run], force_at: Force | None = None, *, longest_s: float | None = None, coarser: float = 1.0
-) -> tuple[BinnedRun, ...]:
+) -> Blocks:
     """Average the runs of a device.
 
     Parameters
@@ -233,7 +266,7 @@ def reduce_runs(
     bends = [None] * len(runs) if force_at is None else _bends(runs, whole, force_at)
     parts = zip(runs, whole, bends, strict=True)
     zero_kN = zero_noise_kN(runs[0].recording.force_kN[runs[0].used])
-    return tuple(_reduce(run, history, bend, longest_s, coarser, zero_kN) for run, history, bend in parts)
+    return Blocks(_reduce(run, history, bend, longest_s, coarser, zero_kN) for run, history, bend in parts)
 
 
 def zero_noise_kN(force_kN: FloatArray) -> float:
@@ -300,7 +333,7 @@ def _reduce(
     reduced = history.reduced(points, np.searchsorted(half[of_point], np.arange(n_half + 1)))
     timing = _timing(run, order, begin, count, np.searchsorted(half, np.arange(n_half + 1)), zero_kN)
     force = np.where(count > 0, mean(recording.force_kN), 0.0)
-    return BinnedRun(reduced, first, force, count, timing, run.start_force_kN)
+    return BinnedRun(reduced, first, force, count, timing, run)
 
 
 def _timing(run: Run, order: IntArray, begin: IntArray, count: FloatArray, half: IntArray, zero_kN: float) -> Timing:

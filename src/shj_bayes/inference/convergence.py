@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtri, ndtri
 
-from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.inference.start import Start
 from shj_bayes.model.filter import whiten
 from shj_bayes.model.parameters import FloatArray
@@ -267,7 +267,7 @@ class Widening:
         return np.asarray(centre + (chains - centre) * self.factor)
 
 
-def widening_of(posterior: Posterior, start: Start) -> Widening:
+def widening_of(posterior: Likelihood, start: Start) -> Widening:
     """Compare the width of a posterior with the scatter from cycle to cycle at its top."""
     scores, information = _scores(posterior, start), _information(posterior, start)
     sd, n_law = np.sqrt(np.diag(start.covariance)), posterior.model.n_law
@@ -293,29 +293,29 @@ def widening_of(posterior: Posterior, start: Start) -> Widening:
         factor = np.maximum(factor, np.where(told & (ratio > limit), ratio, 1.0))
     # The prior holds what the cycles do not: no interval need be wider than its own.
     factor = np.minimum(factor, np.maximum(1.0, 1.0 / sd))
-    return Widening(posterior.names, factor, scatter, n_pieces)
+    return Widening(posterior.model.names, factor, scatter, n_pieces)
 
 
-def _scores(posterior: Posterior, start: Start) -> FloatArray:
+def _scores(posterior: Likelihood, start: Start) -> FloatArray:
     """Give the derivatives of each half-cycle's log likelihood after the unbounded parameters, shape (n_half, d)."""
     width = STEP * np.sqrt(np.diag(start.covariance))
     points = np.concatenate([start.free + np.diag(width), start.free - np.diag(width)])
-    value = posterior.log_likelihood_by_half_cycle(posterior.natural(points))
+    value = posterior.log_likelihood_by_half_cycle(posterior.model.natural(points))
     above, below = np.split(value, 2)
     return np.asarray(((above - below) / (2.0 * width[:, None])).T)
 
 
-def _information(posterior: Posterior, start: Start) -> FloatArray:
+def _information(posterior: Likelihood, start: Start) -> FloatArray:
     """Give what each half-cycle is expected to tell of the parameters of the law, shape (n_half, n_law, n_law)."""
     model, out = posterior.model, []
-    theta = posterior.natural(start.free[None])
+    theta = posterior.model.natural(start.free[None])
     noise = {name: float(values[0]) for name, values in model.noise_values(theta).items()}
     width = STEP * np.sqrt(np.diag(start.covariance))[: model.n_law]
     moves = np.eye(start.free.size)[: model.n_law] * width[:, None]
-    around = posterior.natural(np.concatenate([start.free + moves, start.free - moves]))
-    for run, part in enumerate(posterior.averages, start=1):
-        above, below = np.split(posterior.residual_and_slope(around, run)[0], 2)
-        slope = posterior.residual_and_slope(theta, run)[1][0]
+    around = posterior.model.natural(np.concatenate([start.free + moves, start.free - moves]))
+    for part in posterior.blocks:
+        above, below = np.split(part.residual_and_slope(part.force(model, around))[0], 2)
+        slope = part.residual_and_slope(part.force(model, theta))[1][0]
         rows, _ = whiten(model.noise, noise, ((above - below) / (2.0 * width[:, None])).T, slope, part.timing)
         half = np.repeat(np.arange(part.timing.half.size - 1), np.diff(part.timing.half))[part.timing.kind >= 0]
         own = np.zeros((part.timing.half.size - 1, model.n_law, model.n_law))
@@ -337,7 +337,7 @@ def cycles_through(n_half: Sequence[int], width: int = 2) -> NDArray[np.int64]:
     return np.concatenate(out)
 
 
-def _stretches(posterior: Posterior) -> NDArray[np.int64]:
+def _stretches(posterior: Likelihood) -> NDArray[np.int64]:
     """Stretch of neighbouring half-cycles of equal amplitude that each half-cycle belongs to."""
     amplitudes = [history.amplitude_mm[history.motion.start[:-1]] for history in posterior.histories]
     largest = posterior.histories[0].half_stroke_mm

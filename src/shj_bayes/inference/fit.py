@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from shj_bayes.inference import store
 from shj_bayes.inference.binning import Run
 from shj_bayes.inference.convergence import Diagnostics, FitVerdict, Widening, judge, pareto_k, widening_of
-from shj_bayes.inference.posterior import Posterior, SharedDensity, make_posterior, n_threads
+from shj_bayes.inference.likelihood import Likelihood, SharedDensity, make_likelihood, n_threads
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start, root_of
 from shj_bayes.inference.store import remarks_of
@@ -59,7 +59,7 @@ DEFAULT_PLAN = SamplingPlan()
 class Fit:
     """A finished fit."""
 
-    posterior: Posterior
+    posterior: Likelihood
     groups: Mapping[str, Group]  # content of ``posterior.nc``
     figures: Diagnostics
     widening: Widening  # how the intervals compare with the scatter from cycle to cycle
@@ -114,9 +114,9 @@ def fit(
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / CHECKPOINT
     with told_when_slow(plan.progress):
-        posterior, start = find_start(make_posterior(runs, model), threads=plan.threads, tops=plan.tops)
+        posterior, start = find_start(make_likelihood(runs, model), threads=plan.threads, tops=plan.tops)
     states, figures = run_ensembles(
-        posterior, posterior.names, start, plan, fingerprint=posterior.fingerprint, path=path
+        posterior, posterior.model.names, start, plan, fingerprint=posterior.fingerprint, path=path
     )
     converged, widening = judge(figures), widening_of(posterior, start)
     kept = np.stack([state.chain[figures.n_burn :].reshape(-1, start.free.size) for state in states])
@@ -129,7 +129,7 @@ def fit(
         figures = replace(figures, ess_bulk=worth * figures.ess_bulk, ess_tail=worth * figures.ess_tail)
     verdict = with_widening(converged, widening, tail)
     shown = widening.spread(kept, kept.reshape(-1, kept.shape[-1]).mean(axis=0))
-    natural = posterior.natural(shown)
+    natural = posterior.model.natural(shown)
     table = store.summary(posterior.model, figures, natural)
     groups = store.groups_of(posterior, shown, kept, heights, plan.seed, LIBRARY)
     record = store.fit_record(
@@ -168,7 +168,7 @@ PARETO_LIMIT = 0.7
 
 
 def weights_of_all_samples(
-    posterior: Posterior, start: Start, draws: FloatArray, threads: int = 1
+    posterior: Likelihood, start: Start, draws: FloatArray, threads: int = 1
 ) -> tuple[FloatArray, float]:
     """Weights that take draws from averages of the samples to all samples, and Pareto k of the weights.
 
@@ -180,7 +180,7 @@ def weights_of_all_samples(
     `draws` are unbounded, shape (n_ensembles, n, d); the weights are of shape (n_ensembles, n) with mean 1.
     """
     flat = draws.reshape(-1, draws.shape[-1])
-    fine = posterior.refined(posterior.natural(start.free[None])[0], coarser=1.0 / FINER)
+    fine = posterior.refined(start.free, coarser=1.0 / FINER)
     law = flat[:, : posterior.model.n_law]
     along = np.linalg.solve(root_of(np.cov(law.T)), (law - law.mean(axis=0)).T).T
     terms = np.concatenate([np.ones((law.shape[0], 1)), along, along**2], axis=1)
@@ -200,12 +200,14 @@ def weights_of_all_samples(
     return weights / weights.mean(), pareto_k(ratio)
 
 
-def _whitened(posterior: Posterior, start: Start) -> FloatArray:
+def _whitened(posterior: Likelihood, start: Start) -> FloatArray:
     """Give the residual at the top, in units of what its noise lets expect, shape (n,)."""
-    theta, noise = posterior.natural(start.free[None]), posterior.model.noise
-    values = {name: float(value[0]) for name, value in posterior.model.noise_values(theta).items()}
-    held = [(*posterior.residual_and_slope(theta, i), part.timing) for i, part in enumerate(posterior.averages, 1)]
-    return np.concatenate([whiten(noise, values, rest.T, slope[0], timing)[0].ravel() for rest, slope, timing in held])
+    model = posterior.model
+    theta = model.natural(start.free[None])
+    values = {name: float(value[0]) for name, value in model.noise_values(theta).items()}
+    held = [(*part.residual_and_slope(part.force(model, theta)), part.timing) for part in posterior.blocks]
+    pairs = [whiten(model.noise, values, rest.T, slope[0], timing) for rest, slope, timing in held]
+    return np.concatenate([white.ravel() for white, _ in pairs])
 
 
 def evenly_spread(weights: FloatArray) -> NDArray[np.int64]:

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from shj_bayes.inference.binning import BinnedRun, Run
-from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.likelihood import Likelihood, variance_over_speed
 from shj_bayes.model.filter import Timing, density_and_zero, table_of
 from shj_bayes.model.noise.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray
@@ -23,7 +23,7 @@ def points_of(run: Run, n_points: int) -> IntArray:
 
 
 def force_at_points(
-    posterior: Posterior, theta: FloatArray, points: tuple[IntArray, ...], rng: np.random.Generator
+    posterior: Likelihood, theta: FloatArray, points: tuple[IntArray, ...], rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Force at points of all runs (`points_of`) one after the other, for parameter sets of shape (m, d), kN.
 
@@ -39,7 +39,7 @@ def force_at_points(
         gap = np.where(anew, np.inf, np.round(np.diff(recording.time_s[keep]) / step, 3) * step)
         gaps, kind = np.unique(np.append(np.inf, gap), return_inverse=True)
         kinds = np.stack([np.ones(gaps.size), np.full(gaps.size, step), gaps], axis=1)
-        rough = posterior.rough(history)
+        rough = variance_over_speed(posterior.at_rest, history)
         timing = Timing(kind, kinds, history.motion.start, step, 0.0, np.zeros(run.motion.n_half), rough=rough)
         drawn = draw_noise(model.noise, values, np.zeros((theta.shape[0], keep.size)), timing, rng)
         noise.append(drawn + rng.normal(*zero_of_run(posterior, theta, len(clean)))[:, None])
@@ -47,15 +47,15 @@ def force_at_points(
     return law, law + np.concatenate(noise, axis=1)
 
 
-def zero_of_run(posterior: Posterior, theta: FloatArray, run: int) -> tuple[FloatArray, FloatArray]:
+def zero_of_run(posterior: Likelihood, theta: FloatArray, run: int) -> tuple[FloatArray, FloatArray]:
     """Mean and standard deviation of the error of the load cell's zero in a run, for each parameter set, kN."""
-    residual, slope = posterior.residual_and_slope(theta, run)
-    timing, model = posterior.averages[run - 1].timing, posterior.model
-    return density_and_zero(model.noise, model.noise_values(theta), residual, slope, timing)[1:]
+    part, model = posterior.blocks[run - 1], posterior.model
+    held = part.residual_and_slope(part.force(model, theta))
+    return density_and_zero(model.noise, model.noise_values(theta), *held, part.timing)[1:]
 
 
 def half_cycles(
-    posterior: Posterior, theta: FloatArray, rng: np.random.Generator, *, tested: bool = True
+    posterior: Likelihood, theta: FloatArray, rng: np.random.Generator, *, tested: bool = True
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean force of each half-cycle's evidence in the direction of motion: how likely, and what is predicted.
 
@@ -66,11 +66,11 @@ def half_cycles(
     likely, predicted, measured = [], [], []
     noise = posterior.model.noise
     pieces = np.array_split(theta, math.ceil(theta.shape[0] / PIECE))
-    for run, part in enumerate(posterior.averages, start=1):
+    for part in posterior.blocks:
         log_likelihood, force = [], []
         for some in pieces:
             values = posterior.model.noise_values(some)
-            residual, slope = posterior.residual_and_slope(some, run)
+            residual, slope = part.residual_and_slope(part.force(posterior.model, some))
             density, mean, sd = density_and_zero(noise, values, residual, slope, part.timing)
             if not tested:
                 mean, sd = np.zeros_like(mean), np.full_like(sd, part.timing.zero_noise_kN)

@@ -9,24 +9,33 @@ import numpy as np
 from scipy.optimize import brentq, least_squares, minimize, minimize_scalar
 
 from shj_bayes.errors import InferenceError
-from shj_bayes.inference.binning import BinnedRun, Run
-from shj_bayes.inference.posterior import Density, Posterior, SharedDensity, n_threads
+from shj_bayes.inference.binning import BinnedRun, Blocks
+from shj_bayes.inference.likelihood import STEP, Density, Likelihood, SharedDensity, n_threads
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.filter import AT_REST_SD, log_density
 from shj_bayes.model.parameters import FloatArray, base_and_run
 
-STEP = 1e-4  # of the standardised free parameter; small against any posterior, large against rounding
 Z_LIMIT = 12.0  # of the standardised parameters
 N_STARTS = 5
 
 
-def law_residual(posterior: Posterior, z: FloatArray) -> FloatArray:
-    """Residual of all blocks beside a constant of each run at parameters of the law, shape (n_law,) to (n,), kN."""
-    return np.asarray(posterior.law_residuals(z[None])[0])
+def law_residuals(posterior: Likelihood, z: FloatArray) -> FloatArray:
+    """Residual of all blocks beside a constant of each run, for parameters of the law, (m, n_law) to (m, n), kN."""
+    theta, out = posterior.model.natural_of_law(z), []
+    for part in posterior.blocks:
+        own = part.residual_and_slope(part.force(posterior.model, theta))[0]
+        share = part.count / max(float(part.count.sum()), 1.0)
+        out.append(np.where(part.count > 0, own - (own @ share)[:, None], 0.0))
+    return np.concatenate(out, axis=1)
 
 
-def descend(posterior: Posterior, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -> FloatArray:
+def law_residual(posterior: Likelihood, z: FloatArray) -> FloatArray:
+    """Give the same at one parameter set, shape (n_law,) to (n,), kN."""
+    return np.asarray(law_residuals(posterior, z[None])[0])
+
+
+def descend(posterior: Likelihood, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -> FloatArray:
     """Go from `z` (unbounded, shape (n_law,)) to where squares and priors are least, in so many rounds at most.
 
     `sigma_kN` is the noise scale against which the priors count.
@@ -46,7 +55,7 @@ def descend(posterior: Posterior, z: FloatArray, sigma_kN: float, *, rounds: int
     return np.clip(found.x, -Z_LIMIT, Z_LIMIT) if np.isfinite(found.cost) else z
 
 
-def jacobian(posterior: Posterior, z: FloatArray) -> FloatArray:
+def jacobian(posterior: Likelihood, z: FloatArray) -> FloatArray:
     """Give the derivatives of the force after the unbounded law parameters, shape (n, n_law), 0 without evidence."""
     before = law_residual(posterior, z)
     columns = []
@@ -63,7 +72,7 @@ def cost(residual: FloatArray, z: FloatArray, sigma_kN: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def best_of(posterior: Posterior, starts: Sequence[FloatArray], sigma_kN: float) -> FloatArray:
+def best_of(posterior: Likelihood, starts: Sequence[FloatArray], sigma_kN: float) -> FloatArray:
     """Descend from several starts: all for a few steps, the best two to the end; give the better end."""
     short = [descend(posterior, z, sigma_kN, rounds=4) if len(starts) > 2 else z for z in starts]
     costs = [cost(law_residual(posterior, z), z, sigma_kN) for z in short]
@@ -82,7 +91,7 @@ def extended(z: FloatArray, smaller: DeviceModel, larger: DeviceModel, effect: E
 
 
 def promising(
-    posterior: Posterior, before: FloatArray, slopes: FloatArray, starts: Sequence[FloatArray]
+    posterior: Likelihood, before: FloatArray, slopes: FloatArray, starts: Sequence[FloatArray]
 ) -> list[FloatArray]:
     """Choose at most `N_STARTS` starts, shape (n_law,): those whose change of the force goes best with the residual.
 
@@ -169,18 +178,17 @@ class Start:
     log_posterior: float  # log posterior density there (unbounded space)
 
 
-def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatArray] = ()) -> tuple[Posterior, Start]:
+def find_start(posterior: Likelihood, *, threads: int = 1, tops: Sequence[FloatArray] = ()) -> tuple[Likelihood, Start]:
     """Find the most probable parameters: a grid of laws, least squares, effects one by one, then the posterior's top.
 
     Further points to climb from (`tops`, shape (n_law,), unbounded) are where a search has been already. Gives the
     posterior with blocks that follow the bends of its force, and its top; `InferenceError` if no parameters give a
     finite density.
     """
-    model = posterior.model
     candidates = [*tops, *law_starts(posterior)]
     sizes = [float(np.std(law_residual(posterior, z))) for z in candidates]
-    theta = model.natural_of_law(candidates[int(np.argmin(sizes))][None])[0]
-    refined = started(posterior, theta).refined(theta)
+    best = candidates[int(np.argmin(sizes))]
+    refined = started(posterior, best).refined(best)
     n = n_threads(threads)
     with ThreadPoolExecutor(n) as pool:
         full = [_best_noise(refined, z) for z in candidates]
@@ -189,28 +197,24 @@ def find_start(posterior: Posterior, *, threads: int = 1, tops: Sequence[FloatAr
         return refined, polish(SharedDensity(refined, pool, n), [z])
 
 
-def started(posterior: Posterior, theta: FloatArray) -> Posterior:
-    """Begin each run that does not rest unloaded with the force that is most probable at parameters of the law, (d,).
+def started(posterior: Likelihood, z: FloatArray) -> Likelihood:
+    """Begin each run that does not rest unloaded with the force that is most probable at parameters of the law.
 
-    What is read there has noise, and the part of the speed in it. What is left of its error is small, so that it acts
-    like one of the first turning point.
+    They are unbounded, shape (n_law,). What is read there has noise, and the part of the speed in it. What is left of
+    its error is small, so that it acts like one of the first turning point.
     """
-    pairs = list(zip(posterior.runs, posterior.averages, strict=True))
-    runs = [
-        replace(run, begins_kN=_begins_kN(posterior.model, theta, run, part)) if run.start_noise_kN else run
-        for run, part in pairs
-    ]
-    parts = (replace(part, start_force_kN=run.start_force_kN) for run, (_, part) in zip(runs, pairs, strict=True))
-    return replace(posterior, runs=tuple(runs), averages=tuple(parts))
+    theta = posterior.model.natural_of_law(z[None])
+    parts = (_started(part, posterior.model, theta) if part.run.start_noise_kN else part for part in posterior.blocks)
+    return replace(posterior, blocks=Blocks(parts))
 
 
-def _begins_kN(model: DeviceModel, theta: FloatArray, run: Run, part: BinnedRun) -> float:
-    """Find the force with which a run begins: that which its first half-cycle makes most probable, kN."""
-    read, known = run.start_force_kN, run.start_noise_kN
+def _started(part: BinnedRun, model: DeviceModel, theta: FloatArray) -> BinnedRun:
+    """Begin a run with the force that its first half-cycle makes most probable, theta of shape (1, d)."""
+    read, known = part.run.start_force_kN, part.run.start_noise_kN
     first = np.arange(part.n) < part.timing.half[1]
 
     def squares(begins_kN: float) -> FloatArray:
-        force = model.force(theta[None], part.history, begins_kN)
+        force = model.force(theta, part.history, begins_kN)
         return np.asarray(part.count * part.residual_and_slope(force)[0][0] ** 2)
 
     noise = max(float(squares(read)[~first].sum() / max(part.count[~first].sum(), 1.0)), 1e-12 * known**2)
@@ -219,18 +223,19 @@ def _begins_kN(model: DeviceModel, theta: FloatArray, run: Run, part: BinnedRun)
         return float(squares(begins_kN)[first].sum()) / noise + ((begins_kN - read) / known) ** 2
 
     bounds = (read - FARTHEST * known, read + FARTHEST * known)
-    return float(minimize_scalar(height, bounds=bounds, method="bounded").x)
+    begins_kN = float(minimize_scalar(height, bounds=bounds, method="bounded").x)
+    return replace(part, run=replace(part.run, begins_kN=begins_kN))
 
 
-def law_starts(posterior: Posterior) -> list[FloatArray]:
+def law_starts(posterior: Likelihood) -> list[FloatArray]:
     """Fit a model's law by least squares, best first: the base law from a grid, then with one effect more at a time.
 
     In the unbounded space, each of shape (n_law,).
     """
     model = posterior.model
 
-    def with_first(k: int) -> Posterior:
-        return replace(posterior, model=model.with_effects(model.effects[:k]))
+    def with_first(k: int) -> Likelihood:
+        return posterior.at(model.with_effects(model.effects[:k]))
 
     found = _best_laws(with_first(0))
     for k in range(len(model.effects)):
@@ -238,18 +243,19 @@ def law_starts(posterior: Posterior) -> list[FloatArray]:
     return found
 
 
-def _best_laws(posterior: Posterior) -> list[FloatArray]:
+def _best_laws(posterior: Likelihood) -> list[FloatArray]:
     """Take the best laws of a coarse grid to where the squares are least, best first; the model has no effects."""
     grid = _grid(posterior)
     with np.errstate(over="ignore", invalid="ignore"):
-        scores = [np.sum(posterior.law_residuals(grid[i : i + CHUNK]) ** 2, axis=1) for i in range(0, len(grid), CHUNK)]
+        pieces = (grid[i : i + CHUNK] for i in range(0, len(grid), CHUNK))
+        scores = [np.sum(law_residuals(posterior, piece) ** 2, axis=1) for piece in pieces]
     order = np.argsort(np.concatenate(scores), kind="stable")
     near = [np.clip(z, -8.0, 8.0) for z in grid[order[:N_DESCENTS]]]
     ends = [descend(posterior, z, max(float(np.std(law_residual(posterior, z))), 1e-9)) for z in near]
     return sorted(ends, key=lambda z: float(np.sum(law_residual(posterior, z) ** 2)))
 
 
-def _with_next_effect(smaller: Posterior, larger: Posterior, z: FloatArray) -> FloatArray:
+def _with_next_effect(smaller: Likelihood, larger: Likelihood, z: FloatArray) -> FloatArray:
     """Least squares of a model with one more effect, from the best of the smaller one."""
     effect = larger.model.effects[-1]
     residual, slopes = law_residual(smaller, z), jacobian(smaller, z)
@@ -257,7 +263,7 @@ def _with_next_effect(smaller: Posterior, larger: Posterior, z: FloatArray) -> F
     return best_of(larger, starts, max(float(np.std(residual)), 1e-9))
 
 
-def _grid(posterior: Posterior) -> FloatArray:
+def _grid(posterior: Likelihood) -> FloatArray:
     """List laws on a coarse grid, in the unbounded space, shape (n, n_law)."""
     runs, model = posterior.runs, posterior.model
     peak = [float(np.percentile(np.abs(run.recording.force_kN), 97)) for run in runs]
@@ -282,7 +288,7 @@ def _grid(posterior: Posterior) -> FloatArray:
     return np.array(rows)
 
 
-def _best_noise(posterior: Posterior, z: FloatArray) -> FloatArray:
+def _best_noise(posterior: Likelihood, z: FloatArray) -> FloatArray:
     """Complete law parameters with the most probable noise parameters of a grid around the size of the residual."""
     model = posterior.model
     size = max(float(np.std(law_residual(posterior, z))), 1e-9)
@@ -295,18 +301,18 @@ def _best_noise(posterior: Posterior, z: FloatArray) -> FloatArray:
     return np.asarray(points[int(np.argmax(posterior.log_posterior_free(points)))])
 
 
-def _with_best_noise_at_rest(posterior: Posterior, z: FloatArray) -> tuple[Posterior, FloatArray]:
+def _with_best_noise_at_rest(posterior: Likelihood, z: FloatArray) -> tuple[Likelihood, FloatArray]:
     """Give the posterior its most probable `at_rest`, and `z`, shape (d,), the noise beside it; the law stays.
 
     The widths of the law's parameters depend on it in the second order only, so it is not sampled (decision 0010).
     """
     model = posterior.model
     law = model.natural(z[None])
-    held = [posterior.residual_and_slope(law, run) for run in range(1, model.n_runs + 1)]
+    held = [part.residual_and_slope(part.force(model, law)) for part in posterior.blocks]
 
     def negative(u: FloatArray) -> float:
         noise = model.noise_values(model.natural(np.append(z[: model.n_law], u[:-1])[None]))
-        parts = zip(held, posterior.with_noise_at_rest(AT_REST_SD * float(u[-1])).averages, strict=True)
+        parts = zip(held, posterior.with_noise_at_rest(AT_REST_SD * float(u[-1])).blocks, strict=True)
         likely = [log_density(model.noise, noise, *pair, part.timing).sum() for pair, part in parts]
         return 0.5 * float(u @ u) - float(np.sum(likely))
 

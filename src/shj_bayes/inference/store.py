@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import shj_bayes
 from shj_bayes._util.files import file_digest, replacing, reserve, write_text
 from shj_bayes.inference.binning import Run, measured_of
-from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of, zero_of_run
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.parameters import FloatArray
@@ -105,7 +105,7 @@ AS_SAMPLED = "of the draws as sampled; those in posterior are wider where the re
 
 
 def groups_of(
-    posterior: Posterior, shown: FloatArray, sampled: FloatArray, heights: FloatArray, seed: int, library: str
+    posterior: Likelihood, shown: FloatArray, sampled: FloatArray, heights: FloatArray, seed: int, library: str
 ) -> dict[str, Group]:
     """Everything a reader of the fit needs, in the groups of ArviZ.
 
@@ -119,14 +119,14 @@ def groups_of(
     predictive draws have a stream of their own.
     """
     some = np.linspace(0, shown.shape[1] - 1, min(N_STORED, shown.shape[1])).astype(int)
-    draws, own = (posterior.natural(chains[:, some]) for chains in (shown, sampled))
+    draws, own = (posterior.model.natural(chains[:, some]) for chains in (shown, sampled))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
     laws = posterior.model.laws_of_parameters
     prior = np.stack([law.from_free(rng.standard_normal(N_PRIOR)) for law in laws], axis=1)
     log_prior = np.stack([law.log_density(own[:, :, i]) for i, law in enumerate(laws)], axis=2)
 
     def named(values: FloatArray) -> dict[str, FloatArray]:
-        return {name: values[..., i] for i, name in enumerate(posterior.names)}
+        return {name: values[..., i] for i, name in enumerate(posterior.model.names)}
 
     group = partial(_group, _words(posterior), library)
     groups = {
@@ -144,7 +144,7 @@ def groups_of(
     return groups
 
 
-def _words(posterior: Posterior) -> dict[str, tuple[str, str]]:
+def _words(posterior: Likelihood) -> dict[str, tuple[str, str]]:
     """Give unit and meaning of everything in the file, by name."""
     words = MEANINGS | {p.name: (p.unit, p.meaning) for p in posterior.model.parameters}
     for name, unit in extra_names(posterior).items():
@@ -154,7 +154,7 @@ def _words(posterior: Posterior) -> dict[str, tuple[str, str]]:
 
 
 def _half_cycle_groups(
-    group: Grouped, posterior: Posterior, draws: FloatArray, prior: FloatArray, rng: np.random.Generator
+    group: Grouped, posterior: Likelihood, draws: FloatArray, prior: FloatArray, rng: np.random.Generator
 ) -> dict[str, Group]:
     """Group by half-cycle what is likely and predicted for draws, and what was measured."""
     n_ensembles, _, d = draws.shape
@@ -184,7 +184,7 @@ def _half_cycle_groups(
 
 
 def _sample_groups(
-    group: Grouped, posterior: Posterior, draws: FloatArray, rng: np.random.Generator
+    group: Grouped, posterior: Likelihood, draws: FloatArray, rng: np.random.Generator
 ) -> dict[str, Group]:
     """Group by sample the recordings, and the force that a few draws give."""
     points = tuple(points_of(run, N_POINTS) for run in posterior.runs)
@@ -213,7 +213,7 @@ def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> tup
 
 
 def fit_record(
-    posterior: Posterior,
+    posterior: Likelihood,
     figures: Diagnostics,
     widening: Widening,
     verdict: FitVerdict,
@@ -226,7 +226,7 @@ def fit_record(
     `table` is the summary of the parameters, `pareto_k` of the weights of all samples; `asked` are the name of the
     device, the seed and the key of the fit, the verdict on the chains alone (``convergence``), and the ``remarks``.
     """
-    pairs = zip(posterior.averages, posterior.runs, strict=True)
+    pairs = zip(posterior.blocks, posterior.runs, strict=True)
     means = np.array([[row.mean for row in table]])
     runs = range(1, len(posterior.runs) + 1)
     zeros = [[float(value[0]) for value in zero_of_run(posterior, means, run)] for run in runs]
@@ -253,7 +253,7 @@ def fit_record(
         },
         prior_laws=tuple(
             PriorRecord(name=n, unit=p.unit, law=p.law, a=p.a, b=p.b, source=p.source)
-            for n, p in zip(posterior.names, model.laws_of_parameters, strict=True)
+            for n, p in zip(posterior.model.names, model.laws_of_parameters, strict=True)
         ),
         inputs=tuple(_input(run, *zero) for run, zero in zip(posterior.runs, zeros, strict=True)),
         sampling=SamplingRecord(
@@ -331,12 +331,12 @@ def versions() -> dict[str, str]:
     return out
 
 
-def extra_names(posterior: Posterior) -> dict[str, str]:
+def extra_names(posterior: Likelihood) -> dict[str, str]:
     """Further channels of all runs: name and unit, each once."""
     return {extra.name: extra.unit or "" for run in posterior.runs for extra in run.recording.extras}
 
 
-def _channels(posterior: Posterior, points: Sequence[NDArray[np.int64]]) -> dict[str, NDArray[Any]]:
+def _channels(posterior: Likelihood, points: Sequence[NDArray[np.int64]]) -> dict[str, NDArray[Any]]:
     """Channels that the law and the pages need, at points of the runs, one run after the other."""
     of_runs = [
         {

@@ -30,8 +30,8 @@ from shj_bayes.population.predict import correlation_draws
 from shj_bayes.population.quantities import (
     LEVELS,
     Band,
-    Likelihood,
     PopulationPrior,
+    QuantityLikelihood,
     other_priors,
     population_prior,
     stream,
@@ -186,7 +186,7 @@ def pool(logs: Mapping[tuple[str, str], FloatArray], result: PopulationResult, w
     prior = replace(gamma, **{name: ROPE_SPEED * getattr(gamma, name) for name in scale})
     data = {
         name: [
-            [Likelihood(False, middle[of, n][[k]], error[of, n][[k]], np.ones(1)) for n in devices]
+            [QuantityLikelihood(False, middle[of, n][[k]], error[of, n][[k]], np.ones(1)) for n in devices]
             for of, devices in groups.items()
         ]
         for k, name in enumerate(names)

@@ -21,7 +21,17 @@ from shj_bayes.margins.spread import HIGH, LOW
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray, base_of, run_name
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
-from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST, Band, Likelihood, Ordered, band_of
+from shj_bayes.population.quantities import (
+    DESIGN,
+    HIGHEST,
+    LEAST,
+    LOWEST,
+    MOST,
+    Band,
+    Ordered,
+    QuantityLikelihood,
+    band_of,
+)
 from shj_bayes.recording.motion import Block, Motion, exact_motion
 
 MIDDLE = 0.25
@@ -241,7 +251,7 @@ class VirtualTestResult:
     def estimate(self, tags: Tags = NO_TAGS) -> DeviceEstimate:
         """As a device of a population."""
         known = {
-            name: Likelihood(
+            name: QuantityLikelihood(
                 False, np.log([value]), np.array([self.errors[name]]), np.ones(1), point=float(np.log(value))
             )
             for name, value in self.values.items()

@@ -62,7 +62,7 @@ def effects(out: Search, answer: Answer, draws: Draws) -> tuple[EffectRecord, ..
         units = {p.name: p.unit for p in effect.parameters}
         told: dict[str, Any] = {}
         if finding.member.variant.curve is not None:
-            own, told = _following(finding.member.variant.curve, own, out.data.measured)
+            own, told = _following(finding.member.variant.curve, own, out.data.blocks[0].history.measured)
         # A mean lies beyond what fits where a size is hardly known.
         middle = {key: float(np.median(values)) for key, values in own.items()}
         found.append(
@@ -149,7 +149,7 @@ def mechanisms(out: Search, answer: Answer, name: str) -> list[str]:
             if member.of.id == name and member.variant.curve is None:
                 return [member.variant.effect.mechanism]
     of = out.fitter.classes[name]
-    if of.coordinate in out.data.measured:
+    if of.coordinate in out.data.blocks[0].history.measured:
         return [of.coordinate]
     known = [e for e in catalogue().values() if (of.action, of.coordinate) in e.acts and not e.form]
     return [e.id for e in known if e.id not in out.fitter.hidden]
@@ -266,7 +266,7 @@ def unknown(out: Search, answer: Answer) -> Unknown | None:
         )
     residual = answer.shown.state.residual
     rows, coordinate = _profile(out.data, residual)
-    size = max(answer.left_over * fy, float(np.sqrt(np.mean(residual[out.data.used > 0] ** 2))))
+    size = max(answer.left_over * fy, float(np.sqrt(np.mean(residual[out.data.blocks.used > 0] ** 2))))
     return Unknown(coordinate=coordinate, shape=rows, size_kN=size)
 
 
@@ -285,15 +285,15 @@ def _mirrored(action: str) -> float:
 def _profile(data: BinnedData, residual: FloatArray, n: int = 24) -> tuple[Shape, str]:
     """Mean residual over the coordinate over which it is most regular, push and pull."""
     best: tuple[float, Shape, str] | None = None
-    sense = data.channel("direction")
+    sense = data.blocks.channel("direction")
     for name, word in (("position_mm", "position"), ("slip_mm", "slip since reversal"), ("travel_m", "travel"),
                        ("speed_mm_s", "speed")):  # fmt: skip
-        values = data.channel(name)
+        values = data.blocks.channel(name)
         edges = np.linspace(values.min(), values.max() * (1 + 1e-9) + 1e-9, n + 1)
         index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, n - 1)
         means, taken = [], 0.0
         for sign in (1.0, -1.0):
-            own = (np.sign(sense) == sign) & (data.used > 0)
+            own = (np.sign(sense) == sign) & (data.blocks.used > 0)
             count = np.bincount(index[own], minlength=n)
             total = np.bincount(index[own], weights=residual[own], minlength=n)
             taken += float(np.sum(total**2 / np.maximum(count, 1)))
@@ -311,9 +311,9 @@ def _number(value: float) -> float | None:
 
 def quality(data: BinnedData, state: Laplace, noise_kN: float, held: HeldOut) -> FitQuality:
     """Say how well a model fits: residual, noise, held-out residual (kN), energy per cycle (per cent)."""
-    used = data.used > 0
-    measured = energy_of(data, data.measured_kN)
-    modelled = energy_of(data, data.measured_kN - state.residual)
+    used = data.blocks.used > 0
+    measured = energy_of(data, data.blocks.force_kN)
+    modelled = energy_of(data, data.blocks.force_kN - state.residual)
     wrong = np.abs(modelled - measured) / np.maximum(np.abs(measured), 1e-300)
     return FitQuality(
         rmse_kN=float(np.sqrt(np.mean(state.residual[used] ** 2))),
@@ -326,14 +326,14 @@ def quality(data: BinnedData, state: Laplace, noise_kN: float, held: HeldOut) ->
 def energy_of(data: BinnedData, force_kN: FloatArray) -> FloatArray:
     """Energy of each cycle, J (kN mm), by the trapezoid rule over the displacement."""
     cycle = cycles_of(data)
-    work = np.append((force_kN[1:] + force_kN[:-1]) / 2 * np.diff(data.channel("position_mm")), 0.0)
+    work = np.append((force_kN[1:] + force_kN[:-1]) / 2 * np.diff(data.blocks.channel("position_mm")), 0.0)
     work[np.flatnonzero(np.diff(cycle))] = 0.0  # the step from one cycle, or run, to the next
     return np.asarray(np.bincount(cycle, weights=work), dtype=np.float64)
 
 
 def energy(data: BinnedData, base: Laplace, shown: Laplace) -> EnergyRecord:
     """Energy of each cycle, measured and modelled before and after, J."""
-    forces = data.measured_kN, data.measured_kN - base.residual, data.measured_kN - shown.residual
+    forces = data.blocks.force_kN, data.blocks.force_kN - base.residual, data.blocks.force_kN - shown.residual
     measured, before, after = (tuple(energy_of(data, force).tolist()) for force in forces)
     cycle = tuple(float(i) for i in range(1, len(measured) + 1))
     return EnergyRecord(cycle=cycle, measured_J=measured, before_J=before, after_J=after)
@@ -441,14 +441,14 @@ def _why(effect: Effect, name: str, kept: Mapping[str, float], answer: Answer, g
 def channels(data: BinnedData, base: Laplace, shown: Laplace) -> dict[str, FloatArray]:
     """Measured and modelled force over all that a page draws."""
     names = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m")
-    return {name: data.channel(name) for name in names} | {
-        "direction": np.sign(data.channel("direction")),
+    return {name: data.blocks.channel(name) for name in names} | {
+        "direction": np.sign(data.blocks.channel("direction")),
         "run": run_of(data).astype(np.float64),
         "block": cycles_of(data).astype(np.float64),
-        "weight": data.used,
-        "force_kN": data.measured_kN,
-        "before_kN": data.measured_kN - base.residual,
-        "after_kN": data.measured_kN - shown.residual,
+        "weight": data.blocks.used,
+        "force_kN": data.blocks.force_kN,
+        "before_kN": data.blocks.force_kN - base.residual,
+        "after_kN": data.blocks.force_kN - shown.residual,
     }
 
 

@@ -230,7 +230,7 @@ def diagnose(
     effects_named(look.without)
     hidden = look.hidden(device)
     data = data_of(runs, device)
-    out = search(data, classes(hidden, data.measured), hidden, tell)
+    out = search(data, classes(hidden, data.blocks[0].history.measured), hidden, tell)
     tell("weighing what was found")
     shown = proven(out, tell)
     out, answer = shown.out, shown.answer
@@ -286,7 +286,7 @@ def _models(shown: Proven, seed: int) -> tuple[Laplace, content.Draws, content.D
 def _said(shown: Proven, law: Laplace, before: content.Draws, draws: content.Draws) -> dict[str, Any]:
     """Give what a search found, as fields of the record; `law` and `before` as of `_models`."""
     out, answer, fine, both = shown.out, shown.answer, shown.fine, (shown.before, shown.after)
-    noise = float(np.sqrt(np.mean(shown.after.residual[fine.used > 0] ** 2)))
+    noise = float(np.sqrt(np.mean(shown.after.residual[fine.blocks.used > 0] ** 2)))
     regions = regions_of(out.data, ErrorModel(out.data, out.metric.setting, law.slope), law)
     return {
         "verdict": answer.verdict,

@@ -147,7 +147,7 @@ def _verdict(
     """
     largest = max((f.size for f in findings), default=0.0)
     unknown = {
-        Reason.SLOW_NOISE: out.metric.is_rough and not out.chatter and out.metric.is_slow,
+        Reason.SLOW_NOISE: out.metric.is_rough and not out.chatter and out.metric.setting.is_slow(out.data),
         Reason.FLUCTUATES: out.metric.is_rough and not out.chatter,
         Reason.LEFT_OVER: left > out.matters_in_strokes and left > largest / 3.0,
         Reason.NO_FORM: nothing < ALPHA
@@ -222,7 +222,7 @@ def is_zero_elsewhere(data: BinnedData, h: Hypothesis, name: str) -> bool:
     shift = next((m.variant.effect for m in h.members if m.of.id == name), None)
     if shift is None:
         return False
-    history, used = data.posterior.averages[0].history, data.used > 0
+    history, used = data.blocks[0].history, data.blocks.used > 0
     middle_mm = float(history.motion.displacement_mm[-1] - history.position_mm[-1])
     size_kN = h.state.values_of(shift)["size"] * data.scale_kN
     for place, member in enumerate(h.members):
@@ -234,7 +234,7 @@ def is_zero_elsewhere(data: BinnedData, h: Hypothesis, name: str) -> bool:
             if name == CONSTANT and curve.period is None and added_kN.min() <= -size_kN <= added_kN.max():
                 return True
         elif member.of.coordinate == "position" and middle_mm:
-            there = int(np.argmin(np.abs(data.channel("position_mm")[used] + middle_mm)))
+            there = int(np.argmin(np.abs(data.blocks.channel("position_mm")[used] + middle_mm)))
             if abs(size_kN + added_kN[there]) <= tolerance(data, h, place) * data.scale_kN:
                 return True
     return False
@@ -273,7 +273,7 @@ def _missed_instead(out: Search, h: Hypothesis, rest: Hypothesis, larger: Mappin
 
 def discrepancy_size(out: Search, state: Laplace) -> float:
     """Size of what the generic discrepancy takes up of a residual (99th percentile), as a share of Fy."""
-    taken = out.metric.discrepancy_of(state.residual)
+    taken = out.metric.integrated_out(state.residual)[0]
     return float(visible(out.data, state.jacobian, taken[:, None])[0])
 
 
@@ -429,6 +429,6 @@ def curve_band(out: Search, f: FoundEffect, n: int = 61, direction: float = 1.0)
     rows = curve.rows(share, np.full(n, direction))
     centre = rows @ mean
     half = SIGMA_90 * np.sqrt(np.einsum("ij,jk,ik->i", rows, cov, rows))
-    history = out.data.posterior.averages[0].history
+    history = out.data.blocks[0].history
     at = curve.over.value_of(share, history) if curve.period is None else curve.period * share
     return {"at": at, "mean": 100 * centre, "q05": 100 * (centre - half), "q95": 100 * (centre + half)}

@@ -158,7 +158,7 @@ class Fitter:
         `at` is the place of the class among the members, and of its parameters among theirs; the last by default.
         """
         place, first = at or (len(members), z.size)
-        acts, nothing, out = (of.action, of.coordinate), np.zeros((self.data.used.size, 0)), []
+        acts, nothing, out = (of.action, of.coordinate), np.zeros((self.data.blocks.used.size, 0)), []
         known = [e for e in catalogue().values() if acts in e.acts and e.mechanism not in self.hidden]
         for effect in known:
             variant = Parametrisation(None, effect, FORMS / max(len(known), 1))
@@ -170,7 +170,7 @@ class Fitter:
             tails = [np.array(tail) for tail in product(*values)]
             starts = np.array([np.insert(z, first, tail) for tail in tails])
             with np.errstate(all="ignore"):
-                residual = self.data.residual(model, starts)
+                residual = self.data.likelihood.at(model).residual(starts)
                 heights = self.metric.squares(np.nan_to_num(residual.T, nan=1e6))
             best = np.argsort(heights, kind="stable")[: 1 if heights.size < 3 else 2]
             out += [replace(form, start=starts[i], model=model, gain=-0.5 * float(heights[i])) for i in best]
@@ -194,7 +194,7 @@ def noise_beside(
             continue
         seen.add(kind)
         columns.append(WIDE * c.columns)
-    columns.append(FLAT * data.zeros * data.scale_kN)  # a constant says nothing of the noise
+    columns.append(FLAT * data.missed.zeros * data.scale_kN)  # a constant says nothing of the noise
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
     return ErrorModel(data, find_noise(data, state, wide, start, data.noise_most_kN), state.slope)
 

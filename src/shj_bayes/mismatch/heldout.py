@@ -78,7 +78,7 @@ class Gain:
 
 def cycles_of(data: BinnedData) -> NDArray[np.int64]:
     """Cycle of each block, counted through all runs; half-cycles where there are few cycles."""
-    blocks = [np.diff(part.timing.half) for part in data.posterior.averages]  # of each half-cycle
+    blocks = [np.diff(part.timing.half) for part in data.blocks]  # of each half-cycle
     n_half = [own.size for own in blocks]
     cycle = cycles_through(n_half, 2 if sum(n_half) // 2 >= FEW_CYCLES else 1)
     return np.repeat(cycle, np.concatenate(blocks))
@@ -90,9 +90,9 @@ def places_left_out(data: BinnedData) -> tuple[NDArray[np.int64], int]:
     The first cycle of a run is none of them.
     """
     cycle = cycles_of(data)
-    sizes = [part.n for part in data.posterior.averages]
+    sizes = [part.n for part in data.blocks]
     first = np.isin(cycle, cycle[np.cumsum([0, *sizes[:-1]])])
-    numbers, place = np.unique(np.where(first | (data.used == 0), -1, cycle), return_inverse=True)
+    numbers, place = np.unique(np.where(first | (data.blocks.used == 0), -1, cycle), return_inverse=True)
     n_left = int(np.count_nonzero(numbers >= 0))
     return place - (numbers.size - n_left), n_left
 
@@ -104,15 +104,15 @@ def held_out(data: BinnedData, metric: ErrorModel, state: Laplace) -> HeldOut:
     prediction holds the error of the zero and what else is integrated out at its mean, but for the generic
     discrepancy, which is no prediction.
     """
-    evidence, (place, n_left) = data.used > 0, places_left_out(data)
+    evidence, (place, n_left) = data.blocks.used > 0, places_left_out(data)
     residual, density = np.zeros(evidence.size), np.zeros(n_left, dtype=np.float64)
     n_parts = min(PARTS, n_left)
     for part in range(n_parts):
         left = (place >= 0) & (place % n_parts == part)
-        rest = metric.without(left[evidence])
+        rest = ErrorModel(data, metric.setting, metric.slope, ~left[evidence])
         try:
             refit = laplace(data, rest, state.model, state.z)
-            predicted = refit.residual - rest.integrated_out(refit.residual)
+            predicted = refit.residual - rest.integrated_out(refit.residual)[1]
         except np.linalg.LinAlgError:  # no prediction without these cycles
             predicted = np.full(evidence.size, np.inf)
         residual[left] = predicted[left]

@@ -140,11 +140,11 @@ def candidates(data: BinnedData, state: Laplace, of: tuple[Dependence, ...]) -> 
                 n, step = len(variant.effect.parameters), 1e-2
                 zero = np.concatenate([state.z, np.zeros(n)])
                 points = zero + step * np.eye(n, zero.size, state.z.size)
-                columns = (state.residual - data.residual(model, points)).T / step
+                columns = (state.residual - data.likelihood.at(model).residual(points)).T / step
                 out.append(Candidate(one, variant, zero, columns, model))
                 continue
             starts = np.array(extended(state.z, state.model, model, variant.effect))
-            changes = (state.residual - data.residual(model, starts)).T
+            changes = (state.residual - data.likelihood.at(model).residual(starts)).T
             finite = np.all(np.isfinite(changes), axis=0) & np.any(changes != 0.0, axis=0)
             out += [Candidate(one, variant, starts[i], changes[:, i : i + 1], model) for i in np.flatnonzero(finite)]
     return out
@@ -265,7 +265,7 @@ def _sizes_at(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> Flo
     constant is as large as it is: the law makes none, also where it begins loaded by it.
     """
     if h.members[place].of.id == CONSTANT:
-        return np.asarray(np.abs(force_of(data, h, place, z)[:, data.used > 0]).max(axis=1) / data.scale_kN)
+        return np.asarray(np.abs(force_of(data, h, place, z)[:, data.blocks.used > 0]).max(axis=1) / data.scale_kN)
     if h.members[place].of.action == MOTION:
         data = data.finer_at(h.state.model, h.state.z)
     return visible(data, _law_slopes(h, data), force_of(data, h, place, z).T)
@@ -276,7 +276,8 @@ def force_of(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> Floa
     model, effect = h.state.model, h.members[place].variant.effect
     rest = tuple(e for e in model.effects if e.id != effect.id)
     others = np.delete(z, columns_of(data, h.state, place), axis=1)
-    return data.residual(model.with_effects(rest), others) - data.residual(model, z)
+    without = data.likelihood.at(model.with_effects(rest))
+    return without.residual(others) - data.likelihood.at(model).residual(z)
 
 
 def _law_slopes(h: Hypothesis, data: BinnedData) -> FloatArray:
@@ -284,8 +285,8 @@ def _law_slopes(h: Hypothesis, data: BinnedData) -> FloatArray:
 
     Beside a constant of many times Fy, a change of Fy is a change of the constant.
     """
-    device, law = data.device, h.state.of_law(data.device)
-    return data.jacobian(device, law, data.residual(device, law[None])[0])
+    law = h.state.of_law(data.device)
+    return data.likelihood.jacobian(law, data.likelihood.residual(law[None])[0])
 
 
 def tolerance(data: BinnedData, h: Hypothesis, place: int) -> float:
@@ -299,9 +300,9 @@ def tolerance(data: BinnedData, h: Hypothesis, place: int) -> float:
 
 def force_distance(data: BinnedData, a: Hypothesis, b: Hypothesis) -> float:
     """How far the forces of two hypotheses are apart (99th percentile over the samples), as a share of Fy."""
-    used = data.used > 0
+    used = data.blocks.used > 0
     apart = (b.state.residual - a.state.residual)[used, None]
-    return float(largest(apart, data.count[used])[0]) / data.scale_kN
+    return float(largest(apart, data.blocks.n_samples[used])[0]) / data.scale_kN
 
 
 @dataclass(frozen=True)

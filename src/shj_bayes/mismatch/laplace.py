@@ -71,14 +71,14 @@ def laplace(
             return math.inf
         return float(metric.products(residual[:, None])[0, 0] + at @ at)
 
-    both = data.residual_and_slope(model, z[None])
+    both = data.likelihood.at(model).residual_and_slope(z[None])
     residual, slope = both[0][0], both[1][0]
     now, enough = height(residual, z), 2.0 * (metric.log_constant - floor)
     # Coefficients of curves act in proportion to their size: they may go far at once.
     unit = np.array([0.1 if law.either_sign else 1.0 for law in model.laws_of_parameters[: model.n_law]])
     reach = REACH
     for left in reversed(range(ROUNDS)):
-        columns = data.jacobian(model, z, residual)
+        columns = data.likelihood.at(model).jacobian(z, residual)
         linear = metric.gaussian(np.column_stack([residual + columns @ z, columns]))
         fall = linear.along - linear.precision @ z
         if float(fall @ linear.solve(fall)) < CLOSE:
@@ -89,7 +89,7 @@ def laplace(
             step = step_within(reach, along, curvature)
             goes = float(np.linalg.norm(step))
             trial = np.clip(z + (axes @ step) / unit, -Z_LIMIT, Z_LIMIT)
-            moved = data.residual_and_slope(model, trial[None])
+            moved = data.likelihood.at(model).residual_and_slope(trial[None])
             then = height(moved[0][0], trial)
             if then <= now - CLOSE:
                 break
@@ -110,7 +110,7 @@ def laplace_under(
     data: BinnedData, setting: ErrorParameters, model: DeviceModel, z: FloatArray
 ) -> tuple[ErrorModel, Laplace]:
     """Fit a model under a noise, with the error model that this noise makes where the model starts."""
-    metric = ErrorModel(data, setting, data.residual_and_slope(model, z[None])[1][0])
+    metric = ErrorModel(data, setting, data.likelihood.at(model).residual_and_slope(z[None])[1][0])
     return metric, laplace(data, metric, model, z)
 
 
@@ -119,8 +119,8 @@ def visible(data: BinnedData, jacobian: FloatArray, change_kN: FloatArray) -> Fl
 
     The 99th percentile over the samples of what is left, or of the change itself where that is less, shape (p,).
     """
-    used = data.used > 0
-    count, change = data.count[used], change_kN[used]
+    used = data.blocks.used > 0
+    count, change = data.blocks.n_samples[used], change_kN[used]
     root = np.sqrt(count)[:, None]
     left = orthogonal_to(jacobian[used] * root, change * root) / root
     return np.minimum(largest(left, count), largest(change, count)) / data.scale_kN
@@ -139,7 +139,7 @@ def zero_of(metric: ErrorModel, state: Laplace) -> tuple[float, float]:
     """Mean and standard deviation of the error of the load cell's zero, averaged over the runs, kN."""
     columns = np.column_stack([metric.whitened(state.beside()), metric.other])
     whole = Gaussian.of(columns.T @ columns)
-    zero = metric.data.zero_kN / metric.data.zero_kN.size
+    zero = metric.data.missed.zero_kN / metric.data.missed.zero_kN.size
     weights = np.append(np.zeros(whole.along.size - zero.size), zero)
     return float(weights @ whole.mean), math.sqrt(float(weights @ whole.solve(weights)))
 
@@ -158,11 +158,11 @@ def find_noise(
     `ErrorParameters.size_kN`.
     A run holds at least `VALUES_SEEN` independent values of it (two memories are from one to the next).
     """
-    missed = data.missed(state.slope)
+    missed = data.missed.columns(state.slope)
     beside = np.column_stack([state.beside(columns), missed])
     known = np.ones(beside.shape[1] - 1 - missed.shape[1])
     unit = MODEL_ERROR * data.scale_kN
-    lasts_s = max(float(np.ptp(part.history.time_s)) for part in data.posterior.averages)
+    lasts_s = max(float(np.ptp(part.history.time_s)) for part in data.blocks)
     laws = data.device.laws_of_parameters[data.device.n_law :]
     longest_s = np.asarray(lasts_s / (2.0 * VALUES_SEEN))
     most = np.array([float(law.to_free(longest_s)) if law.unit == "s" else math.inf for law in laws])
@@ -180,8 +180,9 @@ def find_noise(
         noise = setting(u)
         inner, constant = products(replace(noise, model_error_kN=unit))  # which whitens nothing
         constant += noise.log_prior(data)
+        sizes = np.append(known, data.missed.sizes(noise.model_error_kN))
         try:
-            return -Gaussian.of(inner, constant).sized(np.append(known, noise.sizes(data))).log_evidence
+            return -Gaussian.of(inner, constant).sized(sizes).log_evidence
         except np.linalg.LinAlgError:  # noise so small that rounding tells nothing of one column beside the others
             return math.inf
 

@@ -152,8 +152,8 @@ def _with(hypotheses: Mapping[frozenset[str], Hypothesis], new: Hypothesis) -> M
 def try_constant(search: Search) -> Search:
     """Fit the base law beside a constant force, from where the search begins: the law alone may lie far off."""
     data, constant = search.data, constant_of(search.fitter)
-    residual = data.residual(data.device, data.z[None])[0]
-    size = float(residual @ data.used / data.used.sum()) / data.scale_kN
+    residual = data.likelihood.residual(data.z[None])[0]
+    size = float(residual @ data.blocks.used / data.blocks.used.sum()) / data.scale_kN
     if constant is None or abs(size) <= MIN_EFFECT:
         return search
     return search.add((constant,), np.append(data.z, free_size(constant, size)))

@@ -55,7 +55,7 @@ def of_whole_cycles(data: BinnedData, of: Dependence) -> Dependence:
     """
     if not is_over_a_clock(of):
         return of
-    histories = [part.history for part in data.posterior.averages]
+    histories = [part.history for part in data.blocks]
     moved_s = sum(float(h.time_s[-1] - h.time_s[0]) for h in histories)
     cycle = 2.0 * moved_s / sum(h.motion.n_half for h in histories) / histories[-1].tested_s
     if all(v.curve is None or v.curve.length >= cycle for v in of.variants):
@@ -84,7 +84,7 @@ def goes_one_way(data: BinnedData, effect: Effect, values: Values) -> bool:
 def _does_by_stroke(data: BinnedData, effect: Effect, values: Values) -> list[FloatArray]:
     """Give what an effect does to the force, as a share of Fy, as from `by_stroke`."""
     columns = []
-    for part in data.posterior.averages:
+    for part in data.blocks:
         does = effect.act(part.history, values, data.base)
         share = np.broadcast_to(does.clamping + does.added_kN / data.scale_kN, part.history.time_s.shape)
         columns.append(share[:, None])
@@ -98,7 +98,7 @@ def by_stroke(data: BinnedData, columns: Sequence[FloatArray]) -> list[FloatArra
     """
     at = (np.arange(PER_STROKE) + 0.5) / PER_STROKE
     strokes: dict[float, list[FloatArray]] = {1.0: [], -1.0: []}
-    for part, column in zip(data.posterior.averages, columns, strict=True):
+    for part, column in zip(data.blocks, columns, strict=True):
         motion = part.history.motion
         for k, direction in enumerate(motion.direction):
             begin, end = motion.start[k], motion.start[k + 1]
@@ -142,7 +142,7 @@ def waves(data: BinnedData, metric: ErrorModel, state: Laplace, of: Dependence, 
     spacing = slowest / 4.0
     frequencies = np.arange(slowest, fastest, spacing)
     if is_clock(over):
-        places = [over.values(part.history, data.base)[:, None] for part in data.posterior.averages]
+        places = [over.values(part.history, data.base)[:, None] for part in data.blocks]
         turns = [np.exp(2j * np.pi * frequencies * place) for place in by_stroke(data, places)]
         frequencies = frequencies[~keep_step(turns)]
     if frequencies.size < 3:
@@ -199,10 +199,10 @@ def resolved(data: BinnedData, metric: ErrorModel, state: Laplace, of: Sequence[
             continue
         if is_clock(over):
             shown = fine if shown is data else shown
-        elif _is_most_of(base.residual, best.change, round(PER_TURN * fine.count.size / data.count.size)):
-            longest_s = 0.5 * curve.period / (PER_TURN * data.posterior.averages[0].history.peak_speed_mm_s)
+        elif _is_most_of(base.residual, best.change, round(PER_TURN * fine.blocks.used.size / data.blocks.used.size)):
+            longest_s = 0.5 * curve.period / (PER_TURN * data.blocks[0].history.peak_speed_mm_s)
             # From the first reading of a block to its last.
-            shown = replace(data, longest_s=max(0.0, longest_s - data.step_s)).finer_at(state.model, state.z)
+            shown = replace(data, longest_s=max(0.0, longest_s - data.timings[0].step_s)).finer_at(state.model, state.z)
     return shown
 
 
@@ -222,12 +222,12 @@ def _finest(data: BinnedData, state: Laplace, over: Coordinate) -> BinnedData | 
         return None
     if is_clock(over):
         return data.finer
-    history = data.posterior.averages[0].history
+    history = data.blocks[0].history
     low, high = over.reach(history)
     shortest = (high - low) / MOST_TURNS
     fine = data.finer_at(state.model, state.z, longest_s=shortest / (PER_TURN * history.peak_speed_mm_s))
-    residual = fine.residual(state.model, state.z[None])[0]
-    place = (fine.channel(over.id + "_mm") - low) / shortest * BINS_PER_TURN
+    residual = fine.likelihood.at(state.model).residual(state.z[None])[0]
+    place = (fine.blocks.channel(over.id + "_mm") - low) / shortest * BINS_PER_TURN
     return fine if _comes_again(residual, place, fine, round(BINS_PER_TURN / (fastest * shortest))) else None
 
 
@@ -237,9 +237,9 @@ def _comes_again(residual: FloatArray, place: FloatArray, data: BinnedData, n_sm
     Its means in bins of the place where the device slides, in push and in pull apart, less their smooth course over
     `n_smooth` bins to either side, are held against the scatter of single passes.
     """
-    sense = np.sign(data.channel("direction"))
-    along = sense * (data.measured_kN - residual)
-    used = (data.used > 0) & (along > SLIDING * along.max())
+    sense = np.sign(data.blocks.channel("direction"))
+    along = sense * (data.blocks.force_kN - residual)
+    used = (data.blocks.used > 0) & (along > SLIDING * along.max())
     ratio = []
     for sign in (-1.0, 1.0):
         own = used & (sense == sign)
@@ -265,16 +265,16 @@ def _repeating(of: Dependence) -> Coordinate | None:
 
 def _limits(data: BinnedData, over: Coordinate) -> tuple[float, float]:
     """Lowest and highest frequency that is looked at over a coordinate, in turns to its unit."""
-    values = [over.values(part.history, data.base) for part in data.posterior.averages]
-    place = data.blocks([v[:, None] for v in values])[:, 0]
-    block = float(np.quantile(np.abs(np.diff(place[data.used > 0])), 0.9))  # all but the longest tenth
-    low, high = over.reach(data.posterior.averages[0].history)
+    values = [over.values(part.history, data.base) for part in data.blocks]
+    place = data.blocks.mean(values)
+    block = float(np.quantile(np.abs(np.diff(place[data.blocks.used > 0])), 0.9))  # all but the longest tenth
+    low, high = over.reach(data.blocks[0].history)
     return 2.0 / (high - low), min(1.0 / (PER_TURN * block), MOST_TURNS / (high - low))
 
 
 def _response(data: BinnedData, state: Laplace, action: str) -> list[FloatArray]:
     """Force at the points of each run by a curve of height 1: Fy where it is added, what more capacity gives else."""
-    histories = [part.history for part in data.posterior.averages]
+    histories = [part.history for part in data.blocks]
     if action == "added":
         return [np.full(h.position_mm.size, data.scale_kN) for h in histories]
     step = 1e-3
@@ -282,18 +282,18 @@ def _response(data: BinnedData, state: Laplace, action: str) -> list[FloatArray]
     z = state.z + step * np.eye(state.z.size)[at][None]
     theta = state.model.natural_of_law(np.vstack([state.z, z]))
     rise = float(theta[1, at] / theta[0, at] - 1.0)
-    forces = [state.model.force(theta, p.history, p.start_force_kN) for p in data.posterior.averages]
+    forces = [part.force(state.model, theta) for part in data.blocks]
     return [np.asarray((f[1] - f[0]) / rise) for f in forces]
 
 
 def _columns(data: BinnedData, over: Coordinate, response: list[FloatArray], frequencies: FloatArray) -> FloatArray:
     """Force of each block by a cosine and a sine of each frequency, shape (n, n_frequencies, 2), kN."""
-    places = [over.values(part.history, data.base) for part in data.posterior.averages]
+    places = [over.values(part.history, data.base) for part in data.blocks]
     parts = []
     for some in np.array_split(frequencies, -(-frequencies.size // AT_ONCE)):
         angles = [2.0 * np.pi * place[:, None] * some for place in places]
         points = [np.concatenate([np.cos(a), np.sin(a)], axis=1) for a in angles]
-        blocks = data.blocks([p * r[:, None] for p, r in zip(points, response, strict=True)])
+        blocks = data.blocks.mean([p * r[:, None] for p, r in zip(points, response, strict=True)])
         parts.append(np.stack(np.split(blocks, 2, axis=1), axis=2))
     return np.concatenate(parts, axis=1)
 
@@ -356,10 +356,11 @@ def chatter_of(data: BinnedData, state: Laplace, most_kN: float) -> Chatter | No
     The noise of a load cell has a standard deviation of `most_kN` at most.
     """
     fine = data.finer_at(state.model, state.z, longest_s=0.0)
-    residual, _ = fine.residual_and_slope(state.model, state.z[None])
-    loaded = np.abs(fine.force(fine.device, state.of_law(fine.device)[None]))
+    residual, _ = fine.likelihood.at(state.model).residual_and_slope(state.z[None])
+    alone = fine.likelihood.residual(state.of_law(fine.device)[None])
+    loaded = np.abs(fine.blocks.force_kN - alone) * fine.blocks.used
     rows = np.concatenate([residual, loaded / loaded.max()])
-    longest = AVERAGED_S / data.step_s
+    longest = AVERAGED_S / data.timings[0].step_s
     found = None
     for together in (2**i for i in range(1 + max(0, int(math.log2(longest))))):
         one = _at_scale(list(_half_cycles(fine, rows, together)), data.scale_kN, most_kN)
@@ -374,7 +375,7 @@ def _half_cycles(fine: BinnedData, rows: FloatArray, together: int) -> Iterator[
     And its direction, 1 or -1.
     """
     first = 0
-    for part in fine.posterior.averages:
+    for part in fine.blocks:
         halves = zip(part.timing.half[:-1], part.timing.half[1:], part.history.motion.direction, strict=True)
         for a, b, direction in halves:
             own = rows[:, first + a : first + b][:, part.count[a:b] > 0]

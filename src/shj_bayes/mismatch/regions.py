@@ -25,8 +25,9 @@ def aliases_of(data: BinnedData) -> list[Alias]:
     """
     device = data.device.with_effects(())
     z = data.z[: device.n_law]
-    before = data.force(device, z[None])[0]
-    slopes = data.jacobian(device, z, data.residual(device, z[None])[0]) * data.used[:, None]
+    law = data.likelihood.at(device)
+    before = law.residual(z[None])[0]
+    slopes = law.jacobian(z, before) * data.blocks.used[:, None]
     left: dict[str, FloatArray] = {}
     out = []
     for effect in catalogue().values():
@@ -34,7 +35,7 @@ def aliases_of(data: BinnedData) -> list[Alias]:
             continue
         model = device.with_effects((effect,))
         starts = extended(z, device, model, effect)
-        change = data.force(model, starts[len(starts) // 2][None])[0] - before
+        change = before - data.likelihood.at(model).residual(starts[len(starts) // 2][None])[0]
         rest = orthogonal_to(slopes, change[:, None])[:, 0]
         size, whole = float(np.linalg.norm(rest)), float(np.linalg.norm(change))
         if size <= HIDDEN * whole or whole == 0.0:
@@ -60,24 +61,24 @@ WHERE = (("position", 11), ("speed", 6), ("slip", 8), ("travel", 12), ("amplitud
 
 def regions_of(data: BinnedData, metric: ErrorModel, base: Laplace) -> list[Location]:
     """List the regions in which the base law fails, the largest first, at most two for each coordinate."""
-    sense, run = data.channel("direction"), run_of(data)
+    sense, run = data.blocks.channel("direction"), run_of(data)
     cuts, columns = [], []
-    histories = [part.history for part in data.posterior.averages]
+    histories = [part.history for part in data.blocks]
     for name, n in WHERE:
         over = coordinate_named(name)
-        part = data.blocks([over.share(h, data.base)[:, None] for h in histories])[:, 0]
+        part = data.blocks.mean([over.share(h, data.base) for h in histories])
         for low, high in pairwise(np.linspace(0.0, 1.0 + 1e-9, n + 1)):
-            inside = (part >= low) & (part < high) & (data.used > 0)
+            inside = (part >= low) & (part < high) & (data.blocks.used > 0)
             edges = over.value_of(np.array([low, min(high, 1.0)]), histories[0])
             ends = (float(edges[0]), float(edges[1]))
             cuts += [(WORDS.get(over.id, over.id), over.unit, ends, word) for word in SIDES]
             columns += [_side(word, inside, sense) for word in SIDES]
     for number in range(1, len(histories) + 1):
-        inside = (run == number) & (data.used > 0)
+        inside = (run == number) & (data.blocks.used > 0)
         cuts += [("run", "1", (number - 0.5, number + 0.5), word) for word in SIDES]
         columns += [_side(word, inside, sense) for word in SIDES]
     table = np.stack(columns, axis=1)
-    large = np.count_nonzero(table, axis=0) >= MIN_SHARE * data.used.sum()
+    large = np.count_nonzero(table, axis=0) >= MIN_SHARE * data.blocks.used.sum()
     table, cuts = table[:, large], [cut for cut, ok in zip(cuts, large, strict=True) if ok]
     p_values = _p_values(metric, base, table)
     whole = float(base.residual @ base.residual)
@@ -110,7 +111,7 @@ def regions_of(data: BinnedData, metric: ErrorModel, base: Laplace) -> list[Loca
 
 def run_of(data: BinnedData) -> NDArray[np.int64]:
     """Give the number of the run of each block."""
-    return np.concatenate([np.full(part.n, part.history.run) for part in data.posterior.averages])
+    return np.concatenate([np.full(part.n, part.history.run) for part in data.blocks])
 
 
 def _side(word: str, inside: NDArray[np.bool_], sense: FloatArray) -> FloatArray:

@@ -88,14 +88,14 @@ def search(
     """
     tell("fitting the base law")
     whole = [of_whole_cycles(data, of) for of in classes]
-    size = float(np.std(data.residual(data.device, data.z[None])[0]))
+    size = float(np.std(data.likelihood.residual(data.z[None])[0]))
     start = ErrorParameters(noise_of_size(data.device, size), MODEL_ERROR * data.scale_kN)
     metric, rough = laplace_under(data, start, data.device, data.z)
     shown = resolved(data, metric, rough, whole)
     if shown is not data:
         data = shown
         metric, rough = laplace_under(data, start, data.device, data.z)
-    if data.count.size > MOST_BLOCKS:
+    if data.blocks.used.size > MOST_BLOCKS:
         classes = whole = [of for of in whole if comes_again_in_place(of)]
     looked = candidates(data, rough, tuple(whole))
     again = [w for of in whole for w in waves(data, metric, rough, of)]
@@ -163,7 +163,7 @@ def detect_chatter(out: Search, most: float = math.inf) -> Search:
     data, state, chatter = out.data, out.best.state, None
     if "stick_slip" not in out.fitter.hidden and str(TEETH) not in out.best.key:
         chatter = chatter_of(data, state, data.noise_most_kN)
-        missed = math.sqrt(float(np.mean(state.residual[data.used > 0] ** 2))) / data.scale_kN
+        missed = math.sqrt(float(np.mean(state.residual[data.blocks.used > 0] ** 2))) / data.scale_kN
         chatter = chatter if chatter and (out.chatter or missed <= most * chatter.size) else None
     return replace(out, chatter=chatter)
 

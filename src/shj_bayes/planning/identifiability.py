@@ -13,7 +13,7 @@ import numpy as np
 
 from shj_bayes.errors import InferenceError, PopulationError
 from shj_bayes.inference.binning import Run
-from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.start import Start, find_start, root_of
 from shj_bayes.inference.store import remarks_of
 from shj_bayes.margins.virtual_test import counted_from, of_readings, read_off
@@ -93,15 +93,15 @@ def first_answer(
     """
     n_half = sum(run.motion.n_half for run in runs)
     try:
-        posterior, start = find_start(make_posterior(runs, model), threads=threads)
+        posterior, start = find_start(make_likelihood(runs, model), threads=threads)
     except InferenceError:
         return Identifiability(doubts=(Doubt.NO_TOP,), half_cycles=n_half), ()
-    theta = posterior.natural(start.free[None])[0]
+    theta = posterior.model.natural(start.free[None])[0]
     forces = tuple(_force(posterior, theta, i) for i in range(len(runs)))
     left = np.concatenate([(r.recording.force_kN - f)[r.used] for r, f in zip(runs, forces, strict=True)])
     rng = np.random.default_rng(np.random.SeedSequence(1, spawn_key=(11,)))
     free = start.free + rng.standard_normal((DRAWS, start.free.size)) @ root_of(start.covariance).T
-    natural = posterior.natural(free)
+    natural = posterior.model.natural(free)
     least = _least(posterior, start, forces[-1])
     stiffness, capacity = (float(theta[posterior.model.index(name)]) for name in ("K", "Fy"))
     said = Identifiability(
@@ -124,7 +124,7 @@ def _peaks(run: Run) -> FloatArray:
     return np.asarray(np.maximum.reduceat(run.motion.speed_mm_s, run.motion.start[:-1])[1:-1])
 
 
-def _expected(posterior: Posterior, start: Start, natural: FloatArray) -> tuple[ExpectedParameter, ...]:
+def _expected(posterior: Likelihood, start: Start, natural: FloatArray) -> tuple[ExpectedParameter, ...]:
     """Rows of the parameters from draws in natural units, shape (n, d)."""
     laws = posterior.model.laws_of_parameters
     widths = np.sqrt(np.diag(start.covariance))  # priors are standard normal there
@@ -145,12 +145,12 @@ def _expected(posterior: Posterior, start: Start, natural: FloatArray) -> tuple[
     )
 
 
-def _force(posterior: Posterior, theta: FloatArray, i: int) -> FloatArray:
+def _force(posterior: Likelihood, theta: FloatArray, i: int) -> FloatArray:
     """Modelled force of the samples of a run, shape (n_samples,), kN."""
     return np.asarray(posterior.model.force(theta[None], posterior.histories[i], posterior.runs[i].start_force_kN)[0])
 
 
-def _least(posterior: Posterior, start: Start, force_kN: FloatArray) -> tuple[float, float] | None:
+def _least(posterior: Likelihood, start: Start, force_kN: FloatArray) -> tuple[float, float] | None:
     """Smallest plateau force of the last run and its standard deviation, kN; None where no half-cycle slides fully."""
     i = len(posterior.runs) - 1
     motion, travel = posterior.runs[i].motion, posterior.histories[i].travel_m
@@ -159,7 +159,7 @@ def _least(posterior: Posterior, start: Start, force_kN: FloatArray) -> tuple[fl
     if not math.isfinite(from_mm):
         return None
     steps = STEP * np.eye(start.free.size)[: posterior.model.n_law]
-    theta = posterior.natural(np.concatenate([start.free + steps, start.free - steps]))
+    theta = posterior.model.natural(np.concatenate([start.free + steps, start.free - steps]))
     history, begins = posterior.histories[i], posterior.runs[i].start_force_kN
     force = np.concatenate([np.asarray(posterior.model.force(one[None], history, begins)) for one in theta])
     try:

@@ -111,7 +111,7 @@ def expected_information(
         sd=sd,
         force_kN=force_kN,
         separation=_separation(known, evidence.reshape(len(rivals), n, len(rivals))),
-        misread_kN=float(np.percentile(np.abs(misread[data.used > 0]), 99)),
+        misread_kN=float(np.percentile(np.abs(misread[data.blocks.used > 0]), 99)),
     )
 
 
@@ -147,11 +147,12 @@ def _linearised(
     In units of the noise, in coordinates of the space that they span.
     """
     first = known.rivals[0]
-    metric = ErrorModel(data, known.setting, data.residual_and_slope(first.model, first.z[None])[1][0])
+    metric = ErrorModel(data, known.setting, data.likelihood.at(first.model).residual_and_slope(first.z[None])[1][0])
     columns, forces = [metric.whitened(misread[:, None]), metric.other], []
     for rival in known.rivals:
-        residual = data.residual(rival.model, rival.z[None])[0]
-        force, jacobian = (data.measured_kN - residual) * data.used, data.jacobian(rival.model, rival.z, residual)
+        likelihood = data.likelihood.at(rival.model)
+        residual = likelihood.residual(rival.z[None])[0]
+        force, jacobian = (data.blocks.force_kN - residual) * data.blocks.used, likelihood.jacobian(rival.z, residual)
         told, own = jacobian * rival.drawn, rival.gaussian.covariance[: rival.z.size, : rival.z.size]
         forces.append(float(np.max(np.abs(force) + SURE * np.sqrt(np.einsum("ij,jk,ik->i", told, own, told)))))
         columns.append(metric.whitened(np.column_stack([force - jacobian @ rival.z, jacobian])))
@@ -177,7 +178,7 @@ def as_read(
     found = motion_of(Recording(time, known.wobbling(motion.displacement_mm, rng), np.zeros(time.size), source=PLANNED))
     run, read = (known.base_force(histories([time], [m])[0]) for m in (motion, found))
     data = known.data(time, found, run)
-    return data, data.blocks([(run - read)[:, None]])[:, 0]
+    return data, data.blocks.mean([run - read])
 
 
 def quantity_of(

@@ -15,9 +15,9 @@ from scipy.special import chdtri, logsumexp, nctdtrit, ndtri
 from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import PlanError, did_you_mean
-from shj_bayes.inference.binning import BinnedRun, Run, reduce_runs
+from shj_bayes.inference.binning import BinnedRun, Blocks, Run, reduce_runs
 from shj_bayes.inference.gaussian import Gaussian
-from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.mismatch.data import (
     COARSER,
     MODEL_ERROR,
@@ -223,7 +223,7 @@ class PretestPosterior:
     runs: tuple[Run, ...]  # its tests so far; none where only priors are known
     device: DeviceModel  # base model of the old runs and the planned one
     z: FloatArray  # shape (n_law,): parameters of the base model, unbounded
-    old: tuple[BinnedRun, ...]  # the old runs in blocks, on the common scales
+    old: Blocks  # the old runs in blocks, on the common scales
     scales: Mapping[str, Any]  # of the coordinates; from `common_scales`
     setting: ErrorParameters  # noise and discrepancy
     rivals: tuple[RivalModel, ...]  # what the device may be, most probable first; the shares add up to 1
@@ -292,9 +292,8 @@ class PretestPosterior:
         run = Run(Recording(time_s, motion.displacement_mm, force_kN, source=PLANNED), motion)
         bends = partial(self.base_force, share_of_speed=0.0)  # what the speed adds is straight
         part = _zero_within(reduce_runs((run,), bends, coarser=COARSER)[0], self.largest_zero_kN)
-        runs = (*self.runs, run)
-        posterior = Posterior(runs, self.device, (replace(part, history=self.placed(part.history)),))
-        return BinnedData(posterior, self.z, self.peak_mm_s)
+        blocks = Blocks([replace(part, history=self.placed(part.history))])
+        return BinnedData(Likelihood(blocks, self.device), self.z, self.peak_mm_s)
 
     def placed(self, history: History) -> History:
         """History of a first run as one that follows the old ones, with their further channels at the references."""
@@ -369,18 +368,18 @@ def linearise(
         raise PlanError(f"{name} has {len(runs)} runs; a model takes {MOST_RUNS}, so no further one can be planned")
     own = data_of(runs, device)
     limit = largest_zero([key for key, _ in sets], own.scale_kN)
-    parts = [_zero_within(part, limit) for part in own.posterior.averages]
-    old = tuple(replace(part, history=replace(part.history, **scales)) for part in parts)
-    peak = own.posterior.averages[0].history.peak_speed_mm_s  # noise at speeds beyond it is as it was there
-    data = BinnedData(Posterior(runs, device, old), own.z, peak)
-    known = {c.id: c for c in classes(tested.hidden, own.measured)}
+    parts = [_zero_within(part, limit) for part in own.blocks]
+    old = Blocks(replace(part, history=replace(part.history, **scales)) for part in parts)
+    peak = own.blocks[0].history.peak_speed_mm_s  # noise at speeds beyond it is as it was there
+    data = BinnedData(Likelihood(old, device), own.z, peak)
+    known = {c.id: c for c in classes(tested.hidden, own.blocks[0].history.measured)}
     missing = sorted({c for key, _ in sets for c in key} - set(known))
     if missing:
         raise PlanError(f"'{missing[0]}' is no class of dependence; known are {', '.join(known)}")
     needed = tuple(known[c] for c in sorted({c for key, _ in sets for c in key}))
     tell(f"{name}: fitting {len(sets)} rivals to the tests so far")
-    slope = data.residual_and_slope(device, data.z[None])[1][0]
-    size = float(np.std(data.residual(device, data.z[None])[0]))
+    slope = data.likelihood.at(device).residual_and_slope(data.z[None])[1][0]
+    size = float(np.std(data.likelihood.at(device).residual(data.z[None])[0]))
     start = ErrorParameters(noise_of_size(device, size), max(size, 1e-6))
     rough = laplace(data, ErrorModel(data, start, slope), device, data.z)
     looked = candidates(data, rough, needed)
@@ -419,7 +418,7 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any]) -> PretestPo
         none = np.zeros(model.n_law + N_OF_DEVICE + N_OF_RUN)
         told = Gaussian(0.0, none, np.zeros((none.size, none.size)))
         rivals.append(RivalModel(key, p / total, model, none[: model.n_law], none, told))
-    return PretestPosterior("a new device", (), device, z, (), scales, setting, tuple(rivals), 0.0)
+    return PretestPosterior("a new device", (), device, z, Blocks(), scales, setting, tuple(rivals), 0.0)
 
 
 def mechanisms_of(key: Key) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from shj_bayes._util.files import damage_told, shipped
 from shj_bayes.errors import PopulationError, ShjError
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.priors import Prior
-from shj_bayes.population.quantities import QUANTITIES, FloatArray, Likelihood, Rounded, of_draws, ratio_of
+from shj_bayes.population.quantities import QUANTITIES, FloatArray, QuantityLikelihood, Rounded, of_draws, ratio_of
 from shj_bayes.results.device import DeviceResult
 
 
@@ -39,7 +39,7 @@ class DeviceEstimate:
     name: str  # unique inside its set
     set_name: str  # the set of nominally identical devices it belongs to
     # per quantity (K, Fy, ratio, gamma, beta); what is missing is simply not known for this device
-    measurements: Mapping[str, Likelihood] = field(repr=False)
+    measurements: Mapping[str, QuantityLikelihood] = field(repr=False)
     tags: Tags = Tags()  # the same for all devices of a set
 
     def __post_init__(self) -> None:

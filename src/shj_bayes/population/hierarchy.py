@@ -38,15 +38,15 @@ from tqdm import tqdm
 
 from shj_bayes._util.arrays import freeze
 from shj_bayes.errors import PopulationError, did_you_mean
-from shj_bayes.inference.posterior import n_threads
+from shj_bayes.inference.likelihood import n_threads
 from shj_bayes.population.device import DeviceEstimate, RangeTested, Tags, sets_of
 from shj_bayes.population.quantities import (
     ASSUMED,
     DESIGN,
     QUANTITIES,
     FloatArray,
-    Likelihood,
     PopulationPrior,
+    QuantityLikelihood,
     other_priors,
     population_prior,
     quantity,
@@ -133,7 +133,7 @@ class Integral(NamedTuple):
     sets: tuple[SetGrid, ...]
 
 
-def integrate(sets: Sequence[Sequence[Likelihood]], prior: PopulationPrior) -> Integral:
+def integrate(sets: Sequence[Sequence[QuantityLikelihood]], prior: PopulationPrior) -> Integral:
     """Integrate over the levels and spreads of all sets and what they have in common; one set must hold a device."""
     found = _evaluated(*_widest(sets, prior), sets, prior)
     for size in (COARSE, FINE):
@@ -142,7 +142,7 @@ def integrate(sets: Sequence[Sequence[Likelihood]], prior: PopulationPrior) -> I
 
 
 def _widest(
-    sets: Sequence[Sequence[Likelihood]], prior: PopulationPrior
+    sets: Sequence[Sequence[QuantityLikelihood]], prior: PopulationPrior
 ) -> tuple[tuple[Axis, ...], list[tuple[Axis, Axis]]]:
     """Lay axes from end to end of what priors and devices allow, dense where each set is if it hardly spreads."""
     n_level, n_spread, n_hyper = COARSE
@@ -187,7 +187,7 @@ def _apex(values: FloatArray, errors: FloatArray) -> tuple[float, float, float]:
 def _evaluated(
     hyper: tuple[Axis, ...],
     axes: Sequence[tuple[Axis, Axis]],
-    sets: Sequence[Sequence[Likelihood]],
+    sets: Sequence[Sequence[QuantityLikelihood]],
     prior: PopulationPrior,
 ) -> Integral:
     weights, out = _log_prior(hyper, prior), []
@@ -227,7 +227,7 @@ def _given(axis: Axis, centres: Axis, scales: Axis) -> FloatArray:
     return np.asarray(density * axis.width_at(axis.nodes))
 
 
-def log_likelihood(group: Sequence[Likelihood], level: FloatArray, log_spread: FloatArray) -> FloatArray:
+def log_likelihood(group: Sequence[QuantityLikelihood], level: FloatArray, log_spread: FloatArray) -> FloatArray:
     """Log likelihood of the devices of a set, their values integrated out, shape (level, log spread)."""
     out = np.zeros((level.size, log_spread.size))
     spread = np.exp(log_spread)
@@ -237,7 +237,7 @@ def log_likelihood(group: Sequence[Likelihood], level: FloatArray, log_spread: F
     return out
 
 
-def _masses(device: Likelihood, level: FloatArray, spread: FloatArray) -> Iterator[FloatArray]:
+def _masses(device: QuantityLikelihood, level: FloatArray, spread: FloatArray) -> Iterator[FloatArray]:
     """Integral of each part of the likelihood of a device against the normal of its set."""
     if device.pieces:
         ends = [(x - level)[:, None] / spread for x in (*device.first, device.second[-1])]
@@ -400,7 +400,7 @@ class PopulationResult:
 
 def fit_quantity(
     name: str,
-    sets: Sequence[Sequence[Likelihood]],
+    sets: Sequence[Sequence[QuantityLikelihood]],
     prior: PopulationPrior,
     seed: np.random.SeedSequence,
     n_draws: int = N_DRAWS,

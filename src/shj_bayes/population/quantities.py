@@ -256,7 +256,7 @@ FEWEST_EFFECTIVE = 25.0
 
 
 @dataclass(frozen=True)
-class Likelihood:
+class QuantityLikelihood:
     """What a device says of one quantity: likelihood of its true value, integrable against a normal in closed form."""
 
     # True: constant ``weight`` on adjoining pieces between ``first`` and ``second``. False: normal components with
@@ -334,14 +334,14 @@ class Rounded:
         ends = 1.0 / (dep + 0.5 * step), 1.0 / (dep - 0.5 * step)
         return cls(1.0 / dep, min(ends), max(ends))
 
-    def of(self, name: str) -> Likelihood:
+    def of(self, name: str) -> QuantityLikelihood:
         """Take the value for that of a quantity."""
         pool = quantity(name).pool
         ends = pool(np.array([self.lower, self.upper]))
-        return Likelihood(True, ends[:1], ends[1:], np.ones(1), point=float(pool(self.value)))
+        return QuantityLikelihood(True, ends[:1], ends[1:], np.ones(1), point=float(pool(self.value)))
 
 
-def ratio_of(second: Rounded, first: Rounded) -> Likelihood:
+def ratio_of(second: Rounded, first: Rounded) -> QuantityLikelihood:
     """Ratio of two rounded forces, each uniform inside its own interval.
 
     With n uniform on [a, b] and d on [c, e] the density of log(n/d) = u is, up to a constant, e^u times the integral of
@@ -354,7 +354,7 @@ def ratio_of(second: Rounded, first: Rounded) -> Likelihood:
     low, high = np.exp(np.maximum(c, a - middle)), np.exp(np.minimum(e, b - middle))
     density = np.exp(middle) * 0.5 * np.maximum(high**2 - low**2, 0.0)
     point = float(pool(second.value / first.value))
-    return Likelihood(True, edges[:-1], edges[1:], density / density.max(), point=point)
+    return QuantityLikelihood(True, edges[:-1], edges[1:], density / density.max(), point=point)
 
 
 def weighted(name: str, values: FloatArray, log_prior: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -378,7 +378,7 @@ def weighted(name: str, values: FloatArray, log_prior: FloatArray) -> tuple[Floa
     return pooled, weight / weight.sum()
 
 
-def of_draws(name: str, values: FloatArray, log_prior: FloatArray) -> Likelihood:
+def of_draws(name: str, values: FloatArray, log_prior: FloatArray) -> QuantityLikelihood:
     """Turn draws of a single-device posterior into a likelihood, by the prior under which they were made.
 
     The likelihood follows by weighting each draw with 1/prior (Hogg, Myers and Bovy 2010, eq. 9). The weighted draws
@@ -414,4 +414,4 @@ def of_draws(name: str, values: FloatArray, log_prior: FloatArray) -> Likelihood
     shrunk = mean + keep * (centre - mean)
     sd = np.sqrt(keep**2 * within + BANDWIDTH**2 * variance)
     point = float(pooled[np.searchsorted(up_to, 0.5)])
-    return Likelihood(False, shrunk[held], sd[held], mass[held] / mass.sum(), effective, point)
+    return QuantityLikelihood(False, shrunk[held], sd[held], mass[held] / mass.sum(), effective, point)

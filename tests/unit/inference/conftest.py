@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 
 from shj_bayes.inference.fit import Fit, fit
-from shj_bayes.inference.posterior import Posterior
+from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.inference.sampler import SamplingPlan
 
 
 @pytest.fixture(scope="session")
-def fitted(make_small: Callable[..., Posterior], tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, Path]:
+def fitted(make_small: Callable[..., Likelihood], tmp_path_factory: pytest.TempPathFactory) -> tuple[Fit, Path]:
     """A converged fit and the folder it was written to."""
     folder = tmp_path_factory.mktemp("fit")
     small = make_small()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.inference.binning import BinnedRun, Run, histories_of, reduce_runs, runs_of
-from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import catalogue
@@ -85,11 +85,11 @@ def test_a_start_at_rest_has_the_slope_of_the_first_loading_with_a_delay_too():
         runs.append(Recording(time, x, np.append(0.3 * wobble, one.force_kN)))
     device = DeviceModel(2, read_priors("afc"))
     late = device.with_effects((catalogue()["sensor_lag"],))
-    start = find_start(make_posterior(runs_of(runs), device))[1]
+    start = find_start(make_likelihood(runs_of(runs), device))[1]
     z = np.append(start.free[: device.n_law], late.laws_of_parameters[device.n_law].to_free(np.asarray(0.012)))
     for part in reduce_runs(runs_of(runs)):
         for model, at in ((device, z[:-1]), (late, z)):
-            force = model.force(model.natural_of_law(at[None]), part.history, part.start_force_kN)
+            force = part.force(model, model.natural_of_law(at[None]))
             _, slope = part.residual_and_slope(force)
             resting = part.history.time_s[part.first[:-1]] < 4.0
             assert resting.sum() >= 3
@@ -140,9 +140,9 @@ def test_the_gaps_between_blocks_are_those_of_their_samples(averaged):
 def test_the_white_variance_of_a_block_is_the_mean_of_those_of_its_samples() -> None:
     """Blocks that mix low and high speed; the two points of each have mean and variance of the displacement."""
     runs = exact_runs(50.0)
-    posterior = make_posterior(runs, DeviceModel(len(runs), read_priors("afc"))).with_noise_at_rest(np.log(2.5))
-    posterior = replace(posterior, averages=reduce_runs(runs, law_force)).with_noise_at_rest(posterior.at_rest)
-    history, part = posterior.histories[0], posterior.averages[0]
+    posterior = make_likelihood(runs, DeviceModel(len(runs), read_priors("afc"))).with_noise_at_rest(np.log(2.5))
+    posterior = replace(posterior, blocks=reduce_runs(runs, law_force)).with_noise_at_rest(posterior.at_rest)
+    history, part = posterior.histories[0], posterior.blocks[0]
     samples = sd_over_speed(np.log(2.5), slowness(history.speed_mm_s, history.peak_speed_mm_s)) ** 2
     means = np.array([samples[own].mean() for own in samples_of_blocks(runs[0], part)])
     assert means.min() < 1.05
@@ -218,11 +218,10 @@ def test_the_posterior_is_that_of_all_samples(variant: str) -> None:
     """Blocks of one sample each are no reduction at all."""
     runs = runs_of(simulate_device(TRUTH, seed=5, rate_Hz=20.0, variant=variant))
     model = DeviceModel(2, read_priors("afc"), variant=variant)
-    reduced, start = find_start(make_posterior(runs, model))
-    theta = reduced.natural(start.free[None])[0]
-    whole = reduced.refined(theta, longest_s=0.0)
-    assert whole.n_blocks == sum(int(run.used.sum()) for run in runs)
-    assert reduced.n_blocks < 0.5 * whole.n_blocks
+    reduced, start = find_start(make_likelihood(runs, model))
+    whole = reduced.refined(start.free, longest_s=0.0)
+    assert whole.blocks.used.size == sum(int(run.used.sum()) for run in runs)
+    assert reduced.blocks.used.size < 0.5 * whole.blocks.used.size
     full = polish(whole, [start.free])
     sd, own = (np.sqrt(np.diag(top.covariance)) for top in (full, start))
     shift = np.abs(start.free - full.free)
@@ -253,7 +252,7 @@ def test_a_recording_and_its_averages_give_the_same_posterior() -> None:
         coarse = Motion(x, speed, start, motion.turning_mm, motion.direction)
         ends.append(Run(Recording(time, x, force, used=used), coarse))
     model = DeviceModel(2, read_priors("afc"))
-    (one, a), (_, b) = (find_start(make_posterior(runs, model)) for runs in (fast, ends))
+    (one, a), (_, b) = (find_start(make_likelihood(runs, model)) for runs in (fast, ends))
     law = slice(0, one.model.n_law)
     sd = np.sqrt(np.diag(a.covariance))[law]
     assert np.abs((a.free - b.free)[law] / sd).max() < 0.3
@@ -273,10 +272,10 @@ def test_turning_points_are_known_as_well_as_the_samples_beside_them() -> None:
     np.testing.assert_allclose(errors[0][1:] / errors[1][1:], np.sqrt(10.0), rtol=0.25)
 
 
-def test_histories_keep_what_the_reduction_needs(make_small: Callable[..., Posterior]) -> None:
+def test_histories_keep_what_the_reduction_needs(make_small: Callable[..., Likelihood]) -> None:
     small = make_small()
     whole = histories_of(small.runs)
-    for history, part in zip(whole, small.averages, strict=True):
+    for history, part in zip(whole, small.blocks, strict=True):
         assert part.history.run == history.run
         assert part.history.half_stroke_mm == history.half_stroke_mm
         assert np.array_equal(part.history.motion.turning_mm, history.motion.turning_mm)

@@ -10,9 +10,9 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import InferenceError, PriorError
-from shj_bayes.inference import posterior as posterior_module
+from shj_bayes.inference import likelihood as likelihood_module
 from shj_bayes.inference.binning import Run, runs_of
-from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.filter import Timing
@@ -22,23 +22,23 @@ from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.motion import Block, exact_motion
 from shj_bayes.recording.recording import Recording
 
-Make = Callable[..., Posterior]
+Make = Callable[..., Likelihood]
 
 
-def points(posterior: Posterior, m: int, seed: int = 1) -> np.ndarray:
+def points(posterior: Likelihood, m: int, seed: int = 1) -> np.ndarray:
     """Free vectors within the bulk of the prior."""
-    return np.random.default_rng(seed).normal(0, 1, (m, len(posterior.names)))
+    return np.random.default_rng(seed).normal(0, 1, (m, len(posterior.model.names)))
 
 
-def corners(posterior: Posterior) -> np.ndarray:
+def corners(posterior: Likelihood) -> np.ndarray:
     """All combinations of the far ends of the free space."""
-    d = len(posterior.names)
+    d = len(posterior.model.names)
     return np.asarray(29.999 * (2.0 * ((np.arange(2**d)[:, None] >> np.arange(d)) & 1) - 1.0))
 
 
-def with_model(posterior: Posterior, **changes: object) -> Posterior:
+def with_model(posterior: Likelihood, **changes: object) -> Likelihood:
     """The same runs under another model."""
-    return make_posterior(posterior.runs, dataclasses.replace(posterior.model, **changes))
+    return make_likelihood(posterior.runs, dataclasses.replace(posterior.model, **changes))
 
 
 def no_number(_noise: object, _values: object, residual: np.ndarray, _slope: object, timing: Timing) -> np.ndarray:
@@ -52,14 +52,14 @@ def test_likelihood_is_law_plus_noise(
     """Blocks of one sample: all residuals under the covariance of white and slow noise and of the load cell's zero."""
     monkeypatch.setattr(Run, "start_noise_mm", 0.0)
     small = make_small(rate_Hz=3.0)
-    assert all(np.all(part.count == 1) for part in small.averages)
+    assert all(np.all(part.count == 1) for part in small.blocks)
     theta = as_vector(small)
     expected = 0.0
     for number, (run, history) in enumerate(zip(small.runs, small.histories, strict=True), start=1):
         residual = run.recording.force_kN - small.model.force(theta, history, run.start_force_kN)[0]
         lag = np.abs(run.recording.time_s[:, None] - run.recording.time_s[None])
         covariance = truth.sigma_slow**2 * np.exp(-lag / truth.tau_slow) + truth.sigma**2 * np.eye(residual.size)
-        covariance += small.averages[number - 1].timing.zero_noise_kN ** 2
+        covariance += small.blocks[number - 1].timing.zero_noise_kN ** 2
         expected += stats.multivariate_normal(np.zeros(residual.size), covariance).logpdf(residual)
     assert small.log_likelihood(theta)[0] == pytest.approx(expected, rel=1e-9)
 
@@ -76,8 +76,8 @@ def test_likelihood_knows_nothing_of_the_priors(make_small: Make, noise: str) ->
     }
     priors = afc.model.priors
     other = with_model(afc, priors=dataclasses.replace(priors, priors=priors.priors | other_laws))
-    theta = afc.natural(0.3 * points(afc, 6))
-    back = other.natural(other.model.unbounded(theta))
+    theta = afc.model.natural(0.3 * points(afc, 6))
+    back = other.model.natural(other.model.unbounded(theta))
     np.testing.assert_allclose(back, theta, rtol=1e-12)
     assert np.array_equal(afc.log_likelihood(theta), other.log_likelihood(theta))
     np.testing.assert_allclose(other.log_likelihood(back), afc.log_likelihood(theta), rtol=1e-9)
@@ -89,20 +89,20 @@ def test_likelihood_knows_nothing_of_the_priors(make_small: Make, noise: str) ->
 @pytest.mark.parametrize("noise", noise_models())
 def test_half_cycles_add_up(make_small: Make, noise: str) -> None:
     small = make_small(noise=noise)
-    theta = small.natural(points(small, 3))
+    theta = small.model.natural(points(small, 3))
     by_half_cycle = small.log_likelihood_by_half_cycle(theta)
     assert by_half_cycle.shape == (3, sum(run.motion.n_half for run in small.runs))
     np.testing.assert_allclose(by_half_cycle.sum(axis=1), small.log_likelihood(theta), rtol=1e-12)
 
 
-def test_posterior_is_likelihood_and_prior(small_device: Posterior) -> None:
+def test_posterior_is_likelihood_and_prior(small_device: Likelihood) -> None:
     z = points(small_device, 5)
-    expected = small_device.log_likelihood(small_device.natural(z)) + small_device.model.log_prior(z)
+    expected = small_device.log_likelihood(small_device.model.natural(z)) + small_device.model.log_prior(z)
     np.testing.assert_allclose(small_device.log_posterior_free(z), expected, rtol=1e-14)
-    np.testing.assert_allclose(small_device.model.unbounded(small_device.natural(z)), z, atol=1e-9)
+    np.testing.assert_allclose(small_device.model.unbounded(small_device.model.natural(z)), z, atol=1e-9)
 
 
-def test_points_outside_have_no_density(small_device: Posterior) -> None:
+def test_points_outside_have_no_density(small_device: Likelihood) -> None:
     z = points(small_device, 6)
     inside = small_device.log_posterior_free(z)
     for row, value in enumerate((30.0, -30.0, 1e300, np.inf, -np.inf, np.nan)):
@@ -115,7 +115,7 @@ def test_points_outside_have_no_density(small_device: Posterior) -> None:
     np.testing.assert_allclose(got[[0, 2, 3, 5]], inside[[0, 2, 3, 5]], rtol=1e-13)
 
 
-def test_every_corner_of_the_free_space_is_finite_or_nothing(small_device: Posterior) -> None:
+def test_every_corner_of_the_free_space_is_finite_or_nothing(small_device: Likelihood) -> None:
     """The sampler may step there, and an error would end the fit."""
     value = small_device.log_posterior_free(corners(small_device))
     assert not np.isnan(value).any()
@@ -140,7 +140,7 @@ def test_smaller_batches_do_not_see_the_larger_one_before(make_small: Make) -> N
     again = small.log_posterior_free(z[:5])
     assert np.array_equal(again, large[:5])
     assert np.array_equal(small.log_posterior_free(z), large)
-    kept = small.model.force(small.natural(z[:2]), small.histories[0], small.runs[0].start_force_kN)
+    kept = small.model.force(small.model.natural(z[:2]), small.histories[0], small.runs[0].start_force_kN)
     copy = kept.copy()
     small.log_posterior_free(z)
     assert np.array_equal(kept, copy)  # what a caller was given is not the reused memory
@@ -157,7 +157,7 @@ def test_threads_do_not_share_memory(make_small: Make) -> None:
 
 def test_nan_is_reported_with_the_parameters(make_small: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     small = make_small()
-    monkeypatch.setattr(posterior_module, "log_density", no_number)
+    monkeypatch.setattr(likelihood_module, "log_density", no_number)
     with pytest.raises(
         InferenceError, match=r"not a number at K = .*, Fy = .*, beta = .*, tau_slow = .*; this is a bug"
     ):
@@ -177,7 +177,7 @@ def test_unused_samples_and_gaps_reach_the_likelihood(make_small: Make, as_vecto
 
     def likelihood(force: np.ndarray, used: np.ndarray, time: np.ndarray) -> float:
         run = Run(Recording(time, recording.displacement_mm, force, used=used), motion)
-        return float(make_posterior([run], small.model).log_likelihood(theta)[0])
+        return float(make_likelihood([run], small.model).log_likelihood(theta)[0])
 
     time = recording.time_s
     assert likelihood(spoilt, used, time) == pytest.approx(likelihood(recording.force_kN, used, time), rel=1e-12)
@@ -205,7 +205,7 @@ def test_a_recording_that_begins_in_motion_gives_the_numbers_of_the_whole_one() 
         cut = [Recording(r.time_s[first:], r.displacement_mm[first:], r.force_kN[first:]) for r in whole]
         runs = runs_of(cut)
         assert all(0.2 < run.start_noise_mm < 0.6 for run in runs)
-        posterior, start = find_start(make_posterior(runs, DeviceModel(2, read_priors("afc"))))
+        posterior, start = find_start(make_likelihood(runs, DeviceModel(2, read_priors("afc"))))
         tops.append(start)
     sd = np.sqrt(np.diag(tops[0].covariance))
     assert np.all(np.abs(tops[1].free - tops[0].free)[: posterior.model.n_law] < 0.3 * sd[: posterior.model.n_law])
@@ -255,7 +255,7 @@ def test_fingerprint_sees_a_single_sample(make_small: Make, channel: str) -> Non
     values = np.array(getattr(recording, channel))
     values[17] = not values[17] if channel == "used" else values[17] + 1e-9
     run = Run(dataclasses.replace(recording, **{channel: values}), small.runs[0].motion)
-    changed = make_posterior([run], small.model)
+    changed = make_likelihood([run], small.model)
     assert changed.fingerprint["recordings"] != small.fingerprint["recordings"]
 
 
@@ -263,12 +263,12 @@ def test_fingerprint_sees_how_well_the_displacement_is_known(make_small: Make) -
     small = make_small(n_runs=1)
     run = small.runs[0]
     noisy = Run(run.recording, dataclasses.replace(run.motion, noise_mm=0.05))
-    assert make_posterior([noisy], small.model).fingerprint["recordings"] != small.fingerprint["recordings"]
+    assert make_likelihood([noisy], small.model).fingerprint["recordings"] != small.fingerprint["recordings"]
 
 
 def test_an_effect_that_leaves_no_force_has_no_density(make_small: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     small = make_small(effects=("slack",))
-    monkeypatch.setattr(posterior_module, "log_density", no_number)
+    monkeypatch.setattr(likelihood_module, "log_density", no_number)
     assert np.all(small.log_posterior_free(points(small, 2)) == -np.inf)
 
 
@@ -277,20 +277,20 @@ def test_displacement_noise_makes_steep_parts_count_less(make_small: Make, noise
     """The noise of the force is what is left: a residual where the force is steep is no surprise any more."""
     small = make_small(n_runs=1, noise=noise)
     run = small.runs[0]
-    theta = small.natural(np.zeros((1, len(small.names))))
+    theta = small.model.natural(np.zeros((1, len(small.model.names))))
     theta[0, small.model.index("K")] = 30.0
-    wobbly = make_posterior([Run(run.recording, dataclasses.replace(run.motion, noise_mm=0.3))], small.model)
+    wobbly = make_likelihood([Run(run.recording, dataclasses.replace(run.motion, noise_mm=0.3))], small.model)
     assert wobbly.log_likelihood(theta)[0] > small.log_likelihood(theta)[0] + 10.0
 
 
 def test_parts_that_do_not_fit(make_small: Make) -> None:
     small = make_small()
     with pytest.raises(InferenceError, match="1 runs given, the model has 2"):
-        make_posterior(small.runs[:1], small.model)
+        make_likelihood(small.runs[:1], small.model)
     _, other = exact_motion((Block(12.0, 0.13, 2),), 20.0)
     with pytest.raises(InferenceError, match=re.escape("motion has") + r" \d+ samples, the recording \d+"):
         Run(small.runs[0].recording, other)
     recording = small.runs[0].recording
     newtons = dataclasses.replace(recording, force_kN=recording.force_kN * 1000)
     with pytest.raises(PriorError, match=r"the force reaches .* kN, but priors 'afc' are for .* check the unit"):
-        make_posterior([Run(newtons, small.runs[0].motion), small.runs[1]], small.model)
+        make_likelihood([Run(newtons, small.runs[0].motion), small.runs[1]], small.model)

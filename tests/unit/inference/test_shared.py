@@ -7,7 +7,7 @@ import pytest
 
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.convergence import Diagnostics
-from shj_bayes.inference.posterior import SharedDensity, make_posterior
+from shj_bayes.inference.likelihood import SharedDensity, make_likelihood
 from shj_bayes.inference.sampler import LEAST_ROUND, SamplingPlan, _next_round
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import DeviceModel, effects_named
@@ -24,12 +24,12 @@ def posterior(request):
     noise, effects = request.param
     runs = runs_of(simulate_device(Truth(phi=0.3), seed=4, rate_Hz=4.0, blocks=BLOCKS))
     model = DeviceModel(2, read_priors(), effects=effects_named(effects), noise=noise_model(noise))
-    return make_posterior(runs, model)
+    return make_likelihood(runs, model)
 
 
 @pytest.mark.parametrize("n", [2, 3])
 def test_the_same_bits_whatever_the_number_of_threads(posterior, n):
-    z = np.random.default_rng(1).standard_normal((17, len(posterior.names)))
+    z = np.random.default_rng(1).standard_normal((17, len(posterior.model.names)))
     with ThreadPoolExecutor(n) as pool:
         shared = SharedDensity(posterior, pool, n)
         np.testing.assert_array_equal(shared.log_posterior_free(z), posterior.log_posterior_free(z))

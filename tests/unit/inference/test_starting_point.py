@@ -9,12 +9,12 @@ from scipy import optimize, stats
 
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.binning import Run
-from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.start import Start, find_start, law_starts, most_probable_noise, root_of
 from shj_bayes.model.filter import sd_over_speed, slowness
 from shj_bayes.model.simulate import Truth
 
-Make = Callable[..., Posterior]
+Make = Callable[..., Likelihood]
 Vector = Callable[..., np.ndarray]
 NOISE = {"sigma_slow": 0.4, "tau_slow": 1.0, "phi": 0.0, "displacement_noise_mm": 0.0}
 DEVICES = {
@@ -25,7 +25,7 @@ DEVICES = {
 
 
 @pytest.fixture(scope="module")
-def found(make_small: Make) -> tuple[Posterior, Start]:
+def found(make_small: Make) -> tuple[Likelihood, Start]:
     """The small device in its blocks, and its top."""
     return find_start(make_small())
 
@@ -51,7 +51,7 @@ def test_noise_at_low_speed_is_found(make_small: Make, ratio: float) -> None:
         more = 2.0 * sd * rng.standard_normal(sd.size)
         force = run.recording.force_kN + more
         runs.append(Run(replace(run.recording, force_kN=force), run.motion))
-    found, start = find_start(make_posterior(runs, small.model))
+    found, start = find_start(make_likelihood(runs, small.model))
     assert found.at_rest == pytest.approx(np.log(ratio), abs=0.35)
     moved = found.with_noise_at_rest(found.at_rest + 0.4).log_posterior_free(start.free[None])[0]
     assert moved < start.log_posterior
@@ -71,14 +71,14 @@ def test_the_noise_is_found_along_a_narrow_bent_valley() -> None:
 
 
 @pytest.mark.parametrize("noise", ["ar1", "independent", "student"])
-def test_other_noises_find_the_same_law(make_small: Make, found: tuple[Posterior, Start], noise: str) -> None:
+def test_other_noises_find_the_same_law(make_small: Make, found: tuple[Likelihood, Start], noise: str) -> None:
     posterior, start = find_start(make_small(noise=noise))
     n = posterior.model.n_law
     sd = np.sqrt(np.diag(found[1].covariance))[:n]
     assert np.all(np.abs(start.free[:n] - found[1].free[:n]) < 1.5 * sd)
 
 
-def test_map_is_a_maximum_with_the_right_curvature(found: tuple[Posterior, Start]) -> None:
+def test_map_is_a_maximum_with_the_right_curvature(found: tuple[Likelihood, Start]) -> None:
     posterior, start = found
     sd = np.sqrt(np.diag(start.covariance))
     around = start.free + np.vstack([np.diag(0.3 * sd), -np.diag(0.3 * sd)])
@@ -106,15 +106,15 @@ def test_effects_are_found_one_after_another(make_small: Make) -> None:
         force = plain.model.force(truth, history, run.start_force_kN)[0] + noise
         runs.append(Run(replace(run.recording, force_kN=force), run.motion))
     bare = model.with_effects(())
-    assert len(law_starts(make_posterior(runs, bare))) > 1
-    posterior, start = find_start(make_posterior(runs, model))
-    theta = dict(zip(posterior.names, posterior.natural(start.free[None])[0], strict=True))
+    assert len(law_starts(make_likelihood(runs, bare))) > 1
+    posterior, start = find_start(make_likelihood(runs, model))
+    theta = dict(zip(posterior.model.names, posterior.model.natural(start.free[None])[0], strict=True))
     assert theta["slack.size"] == pytest.approx(2.0, abs=0.1)
     assert theta["asymmetry.size"] == pytest.approx(0.06, abs=0.01)
-    assert start.log_posterior > find_start(make_posterior(runs, bare))[1].log_posterior + 100
+    assert start.log_posterior > find_start(make_likelihood(runs, bare))[1].log_posterior + 100
 
 
-def test_a_point_that_is_known_is_climbed_from(make_small: Make, found: tuple[Posterior, Start]) -> None:
+def test_a_point_that_is_known_is_climbed_from(make_small: Make, found: tuple[Likelihood, Start]) -> None:
     """A top from another search joins the candidates; a bad one does not spoil what is found."""
     small = make_small()
     n = small.model.n_law
@@ -134,7 +134,7 @@ def test_nothing_to_fit(make_small: Make) -> None:
     run = small.runs[0]
     still = Run(run.recording, replace(run.motion, speed_mm_s=np.zeros(run.recording.n_samples)))
     with pytest.raises(InferenceError, match=r"nothing to fit: largest force .* kN, stroke 48 mm, speed 0 mm/s"):
-        find_start(make_posterior([still], small.model))
+        find_start(make_likelihood([still], small.model))
 
 
 def test_a_covariance_that_rounding_left_without_a_root_still_has_one():

@@ -17,7 +17,7 @@ from shj_bayes.errors import InferenceError
 from shj_bayes.inference import store
 from shj_bayes.inference.convergence import FitVerdict, Widening, judge
 from shj_bayes.inference.fit import CHECKPOINT, Fit, evenly_spread, fit, weights_of_all_samples, with_widening
-from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
 from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan, run_ensembles
@@ -58,7 +58,7 @@ def test_summary_has_the_columns_of_the_interface(fitted: Fitted) -> None:
     assert list(table.columns) == [*COLUMNS, "schema"]
     written = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert sorted(written) == ["parameters", "schema"]
-    assert [list(row) for row in written["parameters"]] == [COLUMNS] * len(result.posterior.names)
+    assert [list(row) for row in written["parameters"]] == [COLUMNS] * len(result.posterior.model.names)
     for column in COLUMNS[2:]:
         np.testing.assert_allclose(table[column], result.summary[column], rtol=1e-12)
         np.testing.assert_allclose([row[column] for row in written["parameters"]], result.summary[column], rtol=1e-11)
@@ -76,7 +76,7 @@ def test_record_says_where_everything_comes_from(fitted: Fitted) -> None:
     assert (record.seed, record.key, record.device) == (3, "abc", "small")
     assert {name: record.versions[name] for name in store.PACKAGES} == {n: version(n) for n in store.PACKAGES}
     assert [entry.name for entry in record.inputs] == ["simulated-run1", "simulated-run2"]
-    assert [law.name for law in record.prior_laws] == list(result.posterior.names)
+    assert [law.name for law in record.prior_laws] == list(result.posterior.model.names)
     assert all(law.source for law in record.prior_laws)
 
 
@@ -95,7 +95,7 @@ def test_groups_read_back_as_they_were_made(fitted: Fitted) -> None:
             assert read.attrs["meaning"], (group, name)
         assert back[group].attrs["inference_library"] == LIBRARY
         assert {"meaning", "inference_library_version", "creation_library_version"} <= set(back[group].attrs)
-    assert list(back["posterior"].data_vars) == list(result.posterior.names)
+    assert list(back["posterior"].data_vars) == list(result.posterior.model.names)
     assert back["posterior"].sizes["chain"] == 4
     assert back.attrs["schema"] == SCHEMA
     record = store_file.read(FitRecord, folder)
@@ -119,7 +119,7 @@ def test_draws_and_densities_belong_together(fitted: Fitted) -> None:
     result = fitted[0]
     posterior, data = result.posterior, result.data
     assert not result.widening.widened
-    theta = np.stack([data["posterior"][n].to_numpy()[2, :5] for n in posterior.names], axis=1)
+    theta = np.stack([data["posterior"][n].to_numpy()[2, :5] for n in posterior.model.names], axis=1)
     lp = data["sample_stats"]["lp"].to_numpy()
     assert lp.shape == data["posterior"]["K"].shape
     z = posterior.model.unbounded(theta)
@@ -128,8 +128,8 @@ def test_draws_and_densities_belong_together(fitted: Fitted) -> None:
     np.testing.assert_allclose(parts, posterior.log_likelihood_by_half_cycle(theta), atol=1e-6)
     # The prior in natural units has the factor dz / d theta that the one of the unbounded parameters has not.
     step = 1e-6
-    factor = np.log(step / (posterior.natural(z + step / 2) - posterior.natural(z - step / 2))).sum(axis=1)
-    total = sum(data["log_prior"][n].to_numpy()[2, :5] for n in posterior.names)
+    factor = np.log(step / (posterior.model.natural(z + step / 2) - posterior.model.natural(z - step / 2))).sum(axis=1)
+    total = sum(data["log_prior"][n].to_numpy()[2, :5] for n in posterior.model.names)
     np.testing.assert_allclose(total, posterior.model.log_prior(z) + factor, atol=1e-5)
 
 
@@ -156,7 +156,7 @@ def test_one_observable_in_all_groups(fitted: Fitted) -> None:
     assert np.abs((measured - predicted.mean(axis=0)) / predicted.std(axis=0)).max() < 4
 
 
-def test_half_cycles_without_evidence_are_left_out(make_small: Callable[..., Posterior]) -> None:
+def test_half_cycles_without_evidence_are_left_out(make_small: Callable[..., Likelihood]) -> None:
     small = make_small(n_runs=1)
     run = small.runs[0]
     some = replace(run.recording, used=run.used & (run.motion.half_cycle != 2))
@@ -167,16 +167,16 @@ def test_half_cycles_without_evidence_are_left_out(make_small: Callable[..., Pos
         assert np.isfinite(result.data[group][FORCE]).all()
 
 
-def test_means_are_those_of_all_samples(make_small: Callable[..., Posterior], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_means_are_those_of_all_samples(make_small: Callable[..., Likelihood], monkeypatch: pytest.MonkeyPatch) -> None:
     """At 0.04 standard deviations by chance, as each has 4000 draws and more; averages alone are 0.2 and more off."""
     posterior, start = find_start(make_small(rate_Hz=50.0, n_runs=1))
-    states, figures = run_ensembles(posterior, posterior.names, start, SamplingPlan(seed=3))
+    states, figures = run_ensembles(posterior, posterior.model.names, start, SamplingPlan(seed=3))
     draws = np.stack([state.chain[figures.n_burn :].reshape(-1, start.free.size) for state in states])
     weights, tail = weights_of_all_samples(posterior, start, draws)
     assert tail < 0.5
     chosen = np.take_along_axis(draws, evenly_spread(weights)[:, :, None], axis=1)
-    whole = posterior.refined(posterior.natural(start.free[None])[0], longest_s=0.0)
-    states, figures = run_ensembles(whole, whole.names, polish(whole, [start.free]), SamplingPlan(seed=4))
+    whole = posterior.refined(start.free, longest_s=0.0)
+    states, figures = run_ensembles(whole, whole.model.names, polish(whole, [start.free]), SamplingPlan(seed=4))
     right = np.concatenate([state.chain[figures.n_burn :].reshape(-1, start.free.size) for state in states])
     law = slice(posterior.model.n_law)
     before, after = (
@@ -186,7 +186,7 @@ def test_means_are_those_of_all_samples(make_small: Callable[..., Posterior], mo
     assert after.max() < 0.08
 
 
-def test_samples_that_contradict_their_averages_weigh_nothing(make_small: Callable[..., Posterior]) -> None:
+def test_samples_that_contradict_their_averages_weigh_nothing(make_small: Callable[..., Likelihood]) -> None:
     """Hum that the averages do not see tells nothing of the law; one draw that carries all weight is told."""
     small = make_small(rate_Hz=50.0, n_runs=1)
     run = small.runs[0]
@@ -194,12 +194,12 @@ def test_samples_that_contradict_their_averages_weigh_nothing(make_small: Callab
     loud = replace(run, recording=replace(run.recording, force_kN=run.recording.force_kN + hum))
     rng, moved = np.random.default_rng(1), []
     for one in (run, loud):
-        posterior, start = find_start(make_posterior([one], small.model))
+        posterior, start = find_start(make_likelihood([one], small.model))
         draws = start.free + rng.standard_normal((4, 500, start.free.size)) @ np.linalg.cholesky(start.covariance).T
         weights = weights_of_all_samples(posterior, start, draws)[0]
         moved.append(np.std(np.log(weights)))
     assert moved[1] < 0.6 * moved[0]
-    widening = Widening(small.names, np.ones(len(small.names)), np.ones(len(small.names)), 0)
+    widening = Widening(small.model.names, np.ones(len(small.model.names)), np.ones(len(small.model.names)), 0)
     verdict = FitVerdict(Trust.RELIABLE, ("they agree",))
     assert with_widening(verdict, widening, 0.2) == verdict
     assert with_widening(verdict, widening, 0.9).word == Trust.TENTATIVE
@@ -207,10 +207,10 @@ def test_samples_that_contradict_their_averages_weigh_nothing(make_small: Callab
 
 
 @pytest.mark.parametrize("noise", ["slow", "ar1", "independent", "student"])
-def test_noise_of_averages_is_that_of_samples_averaged(make_small: Callable[..., Posterior], noise: str) -> None:
+def test_noise_of_averages_is_that_of_samples_averaged(make_small: Callable[..., Likelihood], noise: str) -> None:
     """Spread of half-cycle means, and what neighbours share, against series drawn sample by sample."""
     small = make_small(noise=noise, n_runs=1, rate_Hz=50.0)
-    run, part = small.runs[0], small.averages[0]
+    run, part = small.runs[0], small.blocks[0]
     assert part.n < 0.8 * run.recording.n_samples
     own = {"sigma_white": 0.8, "sigma_slow": 0.6, "tau_slow": 1.0, "sigma": 1.0, "phi": 0.9, "nu": 200.0}
     values = {name: np.full(4000, own[name]) for name in small.model.noise.parameters}
@@ -227,13 +227,15 @@ def test_noise_of_averages_is_that_of_samples_averaged(make_small: Callable[...,
     assert shared[0] == pytest.approx(shared[1], abs=0.1)
 
 
-def test_noise_at_low_speed_is_stated_and_drawn(make_small: Callable[..., Posterior], fitted: tuple[Fit, Path]) -> None:
+def test_noise_at_low_speed_is_stated_and_drawn(
+    make_small: Callable[..., Likelihood], fitted: tuple[Fit, Path]
+) -> None:
     """Draws at the points of a recording scatter as the noise at each speed does: 2.97 +- 0.022 over 30 seeds."""
     result, folder = fitted
     stated = read(FitRecord, folder).noise_at_rest
     assert stated == pytest.approx(np.exp(result.posterior.at_rest))
     small = make_small(noise="independent", n_runs=1).with_noise_at_rest(np.log(3.0))
-    theta = np.tile(small.natural(np.zeros((1, len(small.names)))), (4000, 1))
+    theta = np.tile(small.model.natural(np.zeros((1, len(small.model.names)))), (4000, 1))
     points = tuple(points_of(run, 10_000) for run in small.runs)
     clean, noisy = force_at_points(small, theta, points, np.random.default_rng(2))
     scatter = (noisy - clean - (noisy - clean).mean(axis=1, keepdims=True)).std(axis=0)
@@ -243,12 +245,12 @@ def test_noise_at_low_speed_is_stated_and_drawn(make_small: Callable[..., Poster
 
 
 @pytest.mark.parametrize("noise", ["slow", "student"])
-def test_noise_is_drawn_from_the_density_of_the_likelihood(make_small: Callable[..., Posterior], noise: str) -> None:
+def test_noise_is_drawn_from_the_density_of_the_likelihood(make_small: Callable[..., Likelihood], noise: str) -> None:
     """No other error of displacement or turning points, and no other tails, suit the draws better than their own."""
     small = make_small(noise=noise, n_runs=1, rate_Hz=20.0)
     own = {"sigma_white": 0.5, "sigma_slow": 0.3, "tau_slow": 1.0, "nu": 4.0}
     values = {name: np.full(1000, own[name]) for name in small.model.noise.parameters}
-    part = small.averages[0]
+    part = small.blocks[0]
     known = replace(part.timing, displacement_noise_mm=0.1, turning_noise_mm=np.full(part.timing.half.size - 1, 0.02))
     slope = np.repeat(np.linspace(0.0, 18.0, part.n)[None], 1000, axis=0)
     drawn = draw_noise(small.model.noise, values, slope, known, np.random.default_rng(1))
@@ -266,10 +268,10 @@ def test_noise_is_drawn_from_the_density_of_the_likelihood(make_small: Callable[
 
 
 def test_noise_at_points_is_drawn_run_by_run(
-    make_small: Callable[..., Posterior], as_vector: Callable[..., np.ndarray]
+    make_small: Callable[..., Likelihood], as_vector: Callable[..., np.ndarray]
 ) -> None:
     small = make_small(noise="ar1")
-    at = small.names.index("phi"), small.names.index("sigma")
+    at = small.model.names.index("phi"), small.model.names.index("sigma")
     theta = np.repeat(as_vector(small), 400, axis=0)
     theta[:, at[0]], theta[:, at[1]] = 0.6, 1.0
     n = small.runs[0].recording.n_samples
@@ -292,7 +294,9 @@ def test_noise_at_points_is_drawn_run_by_run(
         np.testing.assert_allclose(clean[0], whole[keep], rtol=1e-9, atol=1e-9)
 
 
-def test_long_recordings_are_thinned_to_points_that_keep_every_half_cycle(make_small: Callable[..., Posterior]) -> None:
+def test_long_recordings_are_thinned_to_points_that_keep_every_half_cycle(
+    make_small: Callable[..., Likelihood],
+) -> None:
     small = make_small()
     run = small.runs[0]
     assert np.array_equal(points_of(run, 10_000), np.arange(run.recording.n_samples))
@@ -303,7 +307,7 @@ def test_long_recordings_are_thinned_to_points_that_keep_every_half_cycle(make_s
 
 
 def test_the_page_reads_the_thinned_file(
-    make_small: Callable[..., Posterior], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make_small: Callable[..., Likelihood], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(store, "N_POINTS", 80)
     small = make_small()
@@ -318,7 +322,7 @@ def test_the_page_reads_the_thinned_file(
         left = (run.force_kN - run.law_kN.mean(axis=0))[run.used]
         noise = (run.predicted_kN - run.law_kN)[:, run.used]
         assert left.std() == pytest.approx(noise.std(), rel=0.25)
-    assert set(device.draws) == set(small.names) == set(device.prior)
+    assert set(device.draws) == set(small.model.names) == set(device.prior)
     assert result.data["loops"].sizes["draw"] == store.N_LOOPS
 
 
@@ -351,7 +355,7 @@ def test_what_arviz_offers_works_on_the_file(fitted: Fitted, with_slack: Path) -
     mpl.use("Agg")
     result, folder = fitted
     data, other = (az.from_netcdf(str(f / "posterior.nc"), engine="h5netcdf") for f in (folder, with_slack))
-    names = list(result.posterior.names)
+    names = list(result.posterior.model.names)
     table = az.summary(data, round_to=10)
     assert list(table.index) == names
     np.testing.assert_allclose(table["mean"], [result.data["posterior"][n].mean() for n in names], rtol=1e-6)
@@ -400,7 +404,7 @@ def test_same_seed_same_numbers_and_a_finished_fit_is_not_repeated(fitted: Fitte
 
 
 def test_fit_without_a_folder_writes_nothing(
-    make_small: Callable[..., Posterior], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make_small: Callable[..., Likelihood], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     small = make_small(n_runs=1)

@@ -9,27 +9,27 @@ import pytest
 from shj_bayes.inference.binning import Run
 from shj_bayes.inference.convergence import FEWEST, FitVerdict, Widening, _scores, widening_of
 from shj_bayes.inference.fit import fit, with_widening
-from shj_bayes.inference.posterior import Posterior, make_posterior
+from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.inference.start import Start, find_start
 from shj_bayes.model.simulate import Truth
 from shj_bayes.recording.motion import Block
 
-Make = Callable[..., Posterior]
+Make = Callable[..., Likelihood]
 LONG = (Block(12.0, 0.13, 4), Block(24.0, 0.067, 4), Block(48.0, 0.034, 4))
 SLOW = Truth(gamma=0.01, ratio=0.8, sigma=0.3, phi=0.0, sigma_slow=1.5, tau_slow=5.0, displacement_noise_mm=0.0)
 
 
-def with_force(posterior: Posterior, change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Posterior:
+def with_force(posterior: Likelihood, change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Likelihood:
     """The same device with another measured force, change(displacement, force)."""
     runs = [
         Run(replace(r.recording, force_kN=change(r.motion.displacement_mm, r.recording.force_kN)), r.motion)
         for r in posterior.runs
     ]
-    return make_posterior(runs, posterior.model)
+    return make_likelihood(runs, posterior.model)
 
 
-def pried(posterior: Posterior) -> Posterior:
+def pried(posterior: Likelihood) -> Likelihood:
     """Clamping lost away from mid-stroke: the force falls by 12 % towards 48 mm."""
     return with_force(posterior, lambda x, force: force * (1 - 0.12 * (x / 48.0) ** 2))
 
@@ -92,7 +92,7 @@ def test_a_fit_shows_the_wider_intervals_and_is_not_reliable(misfit) -> None:
 
 
 def draws_of(result) -> np.ndarray:
-    return np.stack([result.data.posterior[name].to_numpy().ravel() for name in result.posterior.names], axis=1)
+    return np.stack([result.data.posterior[name].to_numpy().ravel() for name in result.posterior.model.names], axis=1)
 
 
 def test_the_table_and_the_stored_draws_are_as_wide_as_each_other(misfit) -> None:

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
+from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.heldout import PARTS, Gain, HeldOut, cycles_of, held_out
 from shj_bayes.mismatch.hypothesis import FORMS, PRIOR_INCLUSION, Dependence, candidates, classes, size_weights, sized
@@ -31,25 +32,31 @@ def data(small_device, as_vector) -> BinnedData:
 def metric(data: BinnedData) -> ErrorModel:
     laws = data.device.laws_of_parameters[data.device.n_law :]
     z = tuple(float(law.to_free(np.asarray(NOISE[law.name]))) for law in laws)
-    slope = data.residual_and_slope(data.device, data.z[None])[1][0]
+    slope = data.likelihood.residual_and_slope(data.z[None])[1][0]
     return ErrorModel(data, ErrorParameters(z, 0.7), slope)
 
 
 @pytest.fixture(scope="module")
 def covariance(data: BinnedData, metric: ErrorModel) -> np.ndarray:
     """Of all that is no parameter, of the blocks that are evidence; `whiten` has its own tests."""
-    root = metric.whitened(np.eye(data.used.size))
-    used = data.used > 0
+    root = metric.whitened(np.eye(data.blocks.used.size))
+    used = data.blocks.used > 0
     noise = np.linalg.inv(root[:, used].T @ root[:, used])
-    functions = metric.setting.model_error_kN * data.discrepancy[used]
-    zero_kN = np.array([part.timing.zero_noise_kN for part in data.posterior.averages])
-    run = np.concatenate([np.full(part.n, i) for i, part in enumerate(data.posterior.averages)])[used]
+    functions = metric.setting.model_error_kN * data.missed.discrepancy[used]
+    zero_kN = np.array([part.timing.zero_noise_kN for part in data.blocks])
+    run = np.concatenate([np.full(part.n, i) for i, part in enumerate(data.blocks)])[used]
     zeros = np.where(run[:, None] == run, zero_kN[run] ** 2, 0.0)
-    memory = data.memory[used]
+    memory = data.missed.memory[used]
     assert np.abs(memory).max() > 1.0
-    starts = (data.starts(metric.slope) * data.start_mm)[used]
+    starts = (starts_of(data, metric) * data.missed.start_mm)[used]
     assert np.abs(starts).max() > 0.1
     return np.asarray(noise + functions @ functions.T + memory @ memory.T + starts @ starts.T + zeros)
+
+
+def starts_of(data: BinnedData, metric: ErrorModel) -> np.ndarray:
+    """Columns of an error of where each run starts, which stand before those of the zeros."""
+    n = len(data.blocks)
+    return data.missed.columns(metric.slope)[:, -2 * n : -n]
 
 
 @pytest.fixture(scope="module")
@@ -64,21 +71,21 @@ def test_the_parameters_of_the_noise_are_read_back(data: BinnedData, metric: Err
 def test_noise_may_be_rougher_at_low_speed(data: BinnedData, metric: ErrorModel) -> None:
     """The covariance is scaled on both sides by a factor of the speed; the constant follows it."""
     rough = ErrorModel(data, replace(metric.setting, at_rest=math.log(3.0)), metric.slope)
-    used = data.used > 0
-    speed = data.channel("speed_mm_s")[used]
+    used = data.blocks.used > 0
+    speed = data.blocks.channel("speed_mm_s")[used]
     more = sd_over_speed(math.log(3.0), data.slow)
     assert more[used][np.argmin(speed)] == pytest.approx(3.0, rel=0.02)
     assert more[used][np.argmax(speed)] == pytest.approx(1.0, abs=0.01)
     still = ErrorModel(data, rough.setting, np.zeros(metric.slope.size))
     plain = ErrorModel(data, metric.setting, np.zeros(metric.slope.size))
-    column = np.random.default_rng(3).normal(0, 1, (data.used.size, 1))
+    column = np.random.default_rng(3).normal(0, 1, (data.blocks.used.size, 1))
     columns = (column, column / more[:, None])
     own, other = (m.whitened(c) for m, c in zip((still, plain), columns, strict=True))
     np.testing.assert_allclose(own, other, rtol=1e-12)
     (_, log_all), (_, log_plain) = (m.setting.whitened(data, column, m.slope) for m in (still, plain))
     assert log_all - log_plain == pytest.approx(-np.log(more[used]).sum())
     assert rough.fluctuation == pytest.approx(3.0 * metric.fluctuation)
-    assert not metric.is_slow
+    assert not metric.setting.is_slow(data)
 
 
 @pytest.mark.parametrize("variant", ["published", "continuous"])
@@ -101,10 +108,9 @@ def test_derivatives_after_the_coefficients_of_curves(make_small, effects, varia
     model = posterior.model
     z = 0.3 * np.random.default_rng(4).standard_normal(model.n_law)
     z[model.index("K")] = -2.5
-    own = BinnedData(posterior, z)
     steps = 1e-5 * np.eye(z.size)
-    expected = (own.residual(model, z - steps) - own.residual(model, z + steps)).T / 2e-5
-    found = own.jacobian(model, z, own.residual(model, z[None])[0])
+    expected = (posterior.residual(z - steps) - posterior.residual(z + steps)).T / 2e-5
+    found = posterior.jacobian(z, posterior.residual(z[None])[0])
     assert model.linear.size > 3
     wrong = np.abs(found - expected)[:, model.linear].max(axis=0)
     assert np.all(wrong < 5e-3 * np.abs(expected).max(axis=0)[model.linear] + 1e-6)
@@ -116,7 +122,7 @@ def test_noise_under_which_columns_are_one_to_rounding_is_not_the_most_probable(
     """Columns of such a size that only under large noise something is left of one beside the other."""
     _, state = laplace_under(data, metric.setting, data.device, data.z)
     rng = np.random.default_rng(4)
-    columns = 1e9 * rng.normal(0, 1, (data.used.size, 1)) * data.used[:, None] * rng.uniform(0.5, 2.0, 12)
+    columns = 1e9 * rng.normal(0, 1, (data.blocks.used.size, 1)) * data.blocks.used[:, None] * rng.uniform(0.5, 2.0, 12)
     with pytest.raises(np.linalg.LinAlgError):
         _ = metric.gaussian(state.beside(columns)).log_evidence
     found = find_noise(data, state, columns, metric.setting)
@@ -126,9 +132,9 @@ def test_noise_under_which_columns_are_one_to_rounding_is_not_the_most_probable(
 def test_noise_is_remembered_for_a_quarter_of_a_run_at_most(data: BinnedData, metric: ErrorModel) -> None:
     """A force that goes one way throughout is a drift: it is not known to come back."""
     _, state = laplace_under(data, metric.setting, data.device, data.z)
-    time = data.channel("time_s")
-    lasts = max(float(np.ptp(part.history.time_s)) for part in data.posterior.averages)
-    drifting = replace(state, residual=state.residual + 20.0 * time / lasts * data.used)
+    time = data.blocks.channel("time_s")
+    lasts = max(float(np.ptp(part.history.time_s)) for part in data.blocks)
+    drifting = replace(state, residual=state.residual + 20.0 * time / lasts * data.blocks.used)
     none = np.zeros((time.size, 0))
     free = find_noise(data, drifting, none, metric.setting).values(data)["tau_slow"]
     assert free == pytest.approx(0.25 * lasts, rel=1e-6)
@@ -136,8 +142,8 @@ def test_noise_is_remembered_for_a_quarter_of_a_run_at_most(data: BinnedData, me
 
 
 def test_products_are_those_of_the_covariance(data: BinnedData, metric: ErrorModel, covariance: np.ndarray) -> None:
-    columns = np.random.default_rng(1).normal(0, 3, (data.used.size, 4))
-    own = columns[data.used > 0]
+    columns = np.random.default_rng(1).normal(0, 3, (data.blocks.used.size, 4))
+    own = columns[data.blocks.used > 0]
     np.testing.assert_allclose(metric.products(columns), own.T @ np.linalg.solve(covariance, own), rtol=1e-7)
     assert metric.products(columns)[0, 0] < np.sum(metric.whitened(columns)[:, 0] ** 2)
 
@@ -146,7 +152,7 @@ def test_evidence_is_the_density_with_parameters_and_discrepancy_integrated_out(
     data: BinnedData, metric: ErrorModel, covariance: np.ndarray
 ) -> None:
     rng = np.random.default_rng(2)
-    used = data.used > 0
+    used = data.blocks.used > 0
     for v in (np.ones(3), np.array([0.3, 4.0, 1.0])):
         y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, (used.size, 3))
         whole = covariance + columns[used] @ np.diag(v) @ columns[used].T
@@ -161,7 +167,7 @@ def test_solving_gives_mean_and_covariance_of_the_parameters(
     data: BinnedData, metric: ErrorModel, covariance: np.ndarray
 ) -> None:
     rng = np.random.default_rng(3)
-    used = data.used > 0
+    used = data.blocks.used > 0
     y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, (used.size, 3))
     found = metric.gaussian(np.column_stack([y, columns]))
     a = columns[used]
@@ -173,29 +179,29 @@ def test_solving_gives_mean_and_covariance_of_the_parameters(
 def test_the_discrepancy_takes_up_what_is_most_probable(
     data: BinnedData, metric: ErrorModel, covariance: np.ndarray
 ) -> None:
-    used = data.used > 0
+    used = data.blocks.used > 0
     residual = np.random.default_rng(4).normal(0, 2, used.size)
-    functions = data.discrepancy
+    functions = data.missed.discrepancy
     expected = 0.7**2 * functions @ functions[used].T @ np.linalg.solve(covariance, residual[used])
-    np.testing.assert_allclose(metric.discrepancy_of(residual), expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(metric.integrated_out(residual)[0], expected, rtol=1e-6, atol=1e-9)
 
 
 def test_a_difference_of_push_and_pull_is_no_discrepancy(data: BinnedData) -> None:
     for sign in (-1.0, 1.0):
-        own = (np.sign(data.channel("direction")) == sign) & (data.used > 0)
-        assert np.abs(data.discrepancy[own].mean(axis=0)).max() < 1e-12
-    assert np.abs(data.discrepancy).max() > 0.1
+        own = (np.sign(data.blocks.channel("direction")) == sign) & (data.blocks.used > 0)
+        assert np.abs(data.missed.discrepancy[own].mean(axis=0)).max() < 1e-12
+    assert np.abs(data.missed.discrepancy).max() > 0.1
 
 
 def test_derivatives_are_those_of_the_force(data: BinnedData) -> None:
-    residual = data.residual(data.device, data.z[None])[0]
-    columns = data.jacobian(data.device, data.z, residual)
+    residual = data.likelihood.residual(data.z[None])[0]
+    columns = data.likelihood.jacobian(data.z, residual)
     step = 1e-3
     for i in range(data.z.size):
         away = np.stack([data.z, data.z])
         away[:, i] += [step, -step]
-        force = data.measured_kN - data.residual(data.device, away)
-        used = data.used > 0
+        force = data.blocks.force_kN - data.likelihood.residual(away)
+        used = data.blocks.used > 0
         middle = (force[0] - force[1]) / (2 * step)
         assert np.abs(columns[:, i] - middle)[used].max() < 0.01 * np.abs(middle).max()
 
@@ -204,11 +210,11 @@ def test_settling_reaches_the_least_squares_of_a_law(
     data: BinnedData, metric: ErrorModel, covariance: np.ndarray, state: Laplace
 ) -> None:
     """From afar, against a general minimiser with the covariance written out; and the truth lies near."""
-    used = data.used > 0
+    used = data.blocks.used > 0
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
 
     def misfit(z: np.ndarray) -> np.ndarray:
-        return np.concatenate([root @ data.residual(data.device, z[None])[0][used], z])
+        return np.concatenate([root @ data.likelihood.residual(z[None])[0][used], z])
 
     best = least_squares(misfit, data.z, method="lm", diff_step=1e-4).x
     far = laplace(data, metric, data.device, data.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: data.z.size]))
@@ -217,7 +223,7 @@ def test_settling_reaches_the_least_squares_of_a_law(
         assert np.all(np.abs(one.z - best) < 0.2 * sd)
         assert np.all(np.abs(one.z - data.z) < 4.0 * sd)
         assert one.evidence == pytest.approx(one.gaussian.log_evidence, abs=0.05)
-    np.testing.assert_allclose(state.residual, data.residual(data.device, state.z[None])[0])
+    np.testing.assert_allclose(state.residual, data.likelihood.residual(state.z[None])[0])
 
 
 def test_settling_stops_where_steps_like_the_last_would_not_do(
@@ -228,14 +234,14 @@ def test_settling_stops_where_steps_like_the_last_would_not_do(
     whole = laplace(data, metric, data.device, start)
     within, beyond = (laplace(data, metric, data.device, start, whole.evidence + up) for up in (-10.0, 1e6))
     np.testing.assert_array_equal(within.z, whole.z)
-    first = metric.log_constant - 0.5 * float(metric.products(data.residual(data.device, start[None]).T)[0, 0])
+    first = metric.log_constant - 0.5 * float(metric.products(data.likelihood.residual(start[None]).T)[0, 0])
     assert first < beyond.evidence < whole.evidence - 1.0
-    np.testing.assert_array_equal(beyond.residual, data.residual(data.device, beyond.z[None])[0])
+    np.testing.assert_array_equal(beyond.residual, data.likelihood.residual(beyond.z[None])[0])
 
 
 def test_what_parameters_can_make_up_for_is_not_visible(data: BinnedData, state: Laplace) -> None:
     follow = state.jacobian @ np.arange(1.0, state.z.size + 1)
-    wave = np.sin(data.channel("position_mm")) * data.scale_kN * 0.1
+    wave = np.sin(data.blocks.channel("position_mm")) * data.scale_kN * 0.1
     sizes = visible(data, state.jacobian, np.column_stack([follow, wave + follow]))
     assert sizes[0] < 1e-9
     assert 0.05 < sizes[1] < 0.15
@@ -245,9 +251,10 @@ def test_the_size_of_a_change_is_that_of_99_percent_of_the_samples_not_of_the_bl
     data: BinnedData, state: Laplace
 ) -> None:
     """Blocks lie close where the force bends, and hold many samples where the device is slow."""
-    used = data.used > 0
-    order = np.argsort(data.count)[::-1]
-    order = order[: int(np.searchsorted(np.cumsum(data.count[order]), 0.0105 * data.count.sum())) + 1]
+    used = data.blocks.used > 0
+    order = np.argsort(data.blocks.n_samples)[::-1]
+    count = data.blocks.n_samples[order]
+    order = order[: int(np.searchsorted(np.cumsum(count), 0.0105 * count.sum())) + 1]
     assert order.size < 0.01 * used.sum()  # a quantile over blocks would not see them
     change = np.zeros(used.size)
     change[order] = data.scale_kN
@@ -298,7 +305,7 @@ def test_a_change_is_what_the_larger_model_would_add(data: BinnedData, metric: E
     truth = one.columns @ np.array([2.0, -1.0, *np.zeros(one.columns.shape[1] - 2)])
     got = screen(metric, replace(state, residual=state.residual + truth), [one])[0]
     assert got.gain > 50.0
-    assert np.percentile(np.abs(got.change - truth)[data.used > 0], 90) < 0.35 * np.abs(truth).max()
+    assert np.percentile(np.abs(got.change - truth)[data.blocks.used > 0], 90) < 0.35 * np.abs(truth).max()
 
 
 def test_weights_of_sizes_and_variants_are_probabilities() -> None:
@@ -328,22 +335,22 @@ def test_held_out_cycles_are_those_of_a_refit(
 ) -> None:
     """For a linear model the refit has a closed form: here it is written out with the covariance of what is left."""
     rng = np.random.default_rng(5)
-    used = data.used > 0
+    used = data.blocks.used > 0
     y, columns = rng.normal(0, 2, used.size), rng.normal(0, 1, state.jacobian.shape) * used[:, None]
 
-    def residual_and_slope(self: BinnedData, model: object, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def residual_and_slope(self: Likelihood, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return y - z @ columns.T, np.repeat(metric.slope[None], z.shape[0], axis=0)
 
-    monkeypatch.setattr(BinnedData, "residual_and_slope", residual_and_slope)
-    monkeypatch.setattr(BinnedData, "jacobian", lambda *_: columns)
+    monkeypatch.setattr(Likelihood, "residual_and_slope", residual_and_slope)
+    monkeypatch.setattr(Likelihood, "jacobian", lambda *_: columns)
     got = held_out(data, metric, state)
     cycle = cycles_of(data)
-    first = {int(cycle[0]), int(cycle[data.posterior.averages[0].n])}
+    first = {int(cycle[0]), int(cycle[data.blocks[0].n])}
     left_out = [one for one in np.unique(cycle[used]) if one not in first]
     assert got.log_density.size == len(left_out) > 2
     assert got.rmse_kN == pytest.approx(np.sqrt(np.mean(got.residual[np.isin(cycle, left_out) & used] ** 2)))
-    white = metric.whitened(np.column_stack([y, columns, metric.missed * metric.setting.sizes(data)]))
-    n, told = columns.shape[1], data.discrepancy.shape[1]
+    white = metric.whitened(np.column_stack([y, columns, metric.missed]))
+    n, told = columns.shape[1], data.missed.discrepancy.shape[1]
     parts = min(PARTS, len(left_out))
     for i, one in enumerate(left_out):
         seen = ~np.isin(cycle[used], left_out[i % parts :: parts])
@@ -352,22 +359,22 @@ def test_held_out_cycles_are_those_of_a_refit(
         mean = np.linalg.solve(gram, rest[:, 1:].T @ rest[:, 0])
         mean[n : n + told] = 0.0  # the discrepancy is no prediction
         raw = np.flatnonzero(used & (cycle == one))
-        everything = np.column_stack([columns, metric.missed * metric.setting.sizes(data)])
+        everything = np.column_stack([columns, metric.missed])
         np.testing.assert_allclose(got.residual[raw], y[raw] - everything[raw] @ mean, rtol=1e-3, atol=2e-2)
 
 
 def test_an_error_of_the_start_moves_the_first_half_cycle(data: BinnedData, metric: ErrorModel) -> None:
     """Against the law itself along a motion whose first turning point lies elsewhere, and with another first force."""
     theta = data.device.natural_of_law(data.z[None])
-    column = data.starts(metric.slope)
+    column = starts_of(data, metric)
     stiffness = data.device.law_values(data.z)["K"]
-    for run, part in enumerate(data.posterior.averages):
+    for run, part in enumerate(data.blocks):
         motion, step = part.history.motion, 1e-4
         away = np.append(motion.turning_mm[0] + step, motion.turning_mm[1:])
         moved = replace(part.history, motion=replace(motion, turning_mm=away))
         force = [part.residual_and_slope(data.device.force(theta, h, 0.0))[0][0] for h in (moved, part.history)]
         loaded = part.residual_and_slope(data.device.force(theta, part.history, step * stiffness))[0][0]
-        place = sum(one.n for one in data.posterior.averages[:run])
+        place = sum(one.n for one in data.blocks[:run])
         own = column[place : place + part.n, run]
         first = slice(0, int(part.timing.half[1]))
         assert np.abs(own[first]).max() > 0.5 * stiffness

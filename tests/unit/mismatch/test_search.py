@@ -192,7 +192,7 @@ def test_a_gap_shorter_than_a_block_is_found_as_large_as_it_is(trials):
     values = state.model.law_values(state.z)
     assert values["slack.size"] == pytest.approx(0.35, abs=0.03)
     assert values["slack.softness"] < 0.5
-    assert out.data.count.size > data.count.size
+    assert out.data.blocks.used.size > data.blocks.used.size
 
 
 def test_a_fit_that_is_singular_to_rounding_is_no_fit(monkeypatch):

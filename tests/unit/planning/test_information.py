@@ -120,7 +120,7 @@ def test_what_the_reader_gets_wrong_is_foreseen(heated: PretestPosterior) -> Non
     for waveform in Waveform:
         fast = Protocol(waveform.value, (ProtocolBlock(24.0, 40.0, 4, waveform),))
         data, misread = as_read(heated, fast, 10.0, np.random.default_rng(1))
-        wrong[waveform] = float(np.abs(misread * data.used).max())
+        wrong[waveform] = float(np.abs(misread * data.blocks.used).max())
     assert wrong[Waveform.TRIANGLE] > 3.0 * wrong[Waveform.SINE]
 
 
@@ -130,9 +130,9 @@ def test_the_variance_of_one_rival_is_that_of_the_normal_equations(heated: Prete
     gamma = quantity_named(alone, "gamma")
     seen = expected_information(alone, LONG, 5.0, 1, gamma)
     data, _ = as_read(alone, LONG, 5.0, np.random.default_rng(np.random.SeedSequence(1, spawn_key=(3,))))
-    residual, slope = data.residual_and_slope(first.model, first.z[None])
+    residual, slope = data.likelihood.at(first.model).residual_and_slope(first.z[None])
     metric = ErrorModel(data, alone.setting, slope[0])
-    jacobian = data.jacobian(first.model, first.z, residual[0])
+    jacobian = data.likelihood.at(first.model).jacobian(first.z, residual[0])
     of_old_run = np.zeros((metric.other.shape[0], N_OF_RUN))
     white = np.column_stack([metric.whitened(jacobian), metric.other, of_old_run])
     expected = np.linalg.inv(first.gaussian.precision + white.T @ white)[3, 3]

@@ -11,7 +11,14 @@ from shj_bayes.errors import PopulationError
 from shj_bayes.population import hierarchy as grid
 from shj_bayes.population.device import DeviceEstimate, published_devices, sets_of
 from shj_bayes.population.hierarchy import cells_of, fit_population, fit_quantity, integrate
-from shj_bayes.population.quantities import Likelihood, Rounded, of_draws, other_priors, population_prior, quantity
+from shj_bayes.population.quantities import (
+    QuantityLikelihood,
+    Rounded,
+    of_draws,
+    other_priors,
+    population_prior,
+    quantity,
+)
 
 FY = quantity("Fy")
 PRIOR = population_prior("Fy")
@@ -103,7 +110,7 @@ def test_published_sets_are_those_of_long_chains():
 
 
 def devices_of(*values):
-    return [Likelihood(False, np.array([v]), np.array([e]), np.ones(1)) for v, e in values]
+    return [QuantityLikelihood(False, np.array([v]), np.array([e]), np.ones(1)) for v, e in values]
 
 
 STUDENT = 0.1 * np.random.default_rng(2).standard_t(2.5, 4000)
@@ -161,7 +168,7 @@ def test_gaussian_case_against_its_closed_form(kind, rng):
 
     def device(centre):
         if kind == "exact normal":
-            return Likelihood(False, np.array([centre]), np.array([ERROR]), np.ones(1))
+            return QuantityLikelihood(False, np.array([centre]), np.array([ERROR]), np.ones(1))
         z = stats.norm.ppf((np.arange(4000) + 0.5) / 4000)
         draws = (centre / ERROR**2 + m0 / s0**2) / precision + precision**-0.5 * z
         return of_draws("Fy", np.exp(draws), stats.norm.logpdf(draws, m0, s0))

@@ -5,7 +5,7 @@ from scipy import integrate, stats
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import DeviceEstimate, Tags, sets_of
 from shj_bayes.population.hierarchy import log_likelihood
-from shj_bayes.population.quantities import Likelihood, Ordered, Rounded, of_draws, ratio_of
+from shj_bayes.population.quantities import Ordered, QuantityLikelihood, Rounded, of_draws, ratio_of
 
 
 def test_dep_of_30_stands_for_15_to_45():
@@ -84,7 +84,7 @@ def test_a_posterior_that_is_only_prior_is_refused(rng):
         (lambda: Rounded(1.0, 2.0, 2.0), "lower < upper"),
         (lambda: Rounded(5.0, 1.0, 2.0), "lies outside"),
         (lambda: Rounded.to_step(2.0, 5.0).of("Fy"), "finite and above zero"),
-        (lambda: Likelihood(True, np.array([0.0, 2.0]), np.array([1.0, 3.0]), np.ones(2)), "adjoin"),
+        (lambda: QuantityLikelihood(True, np.array([0.0, 2.0]), np.array([1.0, 3.0]), np.ones(2)), "adjoin"),
         (lambda: DeviceEstimate("a", "s", {}), "gives none of"),
         (lambda: DeviceEstimate(" ", "s", {"Fy": Rounded(80, 75, 85).of("Fy")}), "needs a name"),
         (lambda: DeviceEstimate("a", "s", {"dep": Rounded(30, 15, 45).of("dep")}), "dep is never pooled"),

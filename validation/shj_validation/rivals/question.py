@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from shj_bayes.inference.binning import runs_of
-from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorParameters, data_of
+from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorModel, ErrorParameters, data_of
 from shj_bayes.mismatch.fitter import noise_of_size
 from shj_bayes.mismatch.heldout import PARTS, cycles_of, places_left_out
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace, laplace_under
@@ -95,17 +95,18 @@ def question_of(paths: Sequence[Path], model: str, time_s: FloatArray, displacem
     recordings = [read(path) for path in paths]
     device = DeviceModel(len(recordings), read_priors("afc"), variant=model)
     data = data_of(runs_of(recordings), device)
-    size = float(np.std(data.residual(device, data.z[None])[0]))
+    size = float(np.std(data.likelihood.at(device).residual(data.z[None])[0]))
     first = ErrorParameters(noise_of_size(device, size), MODEL_ERROR * data.scale_kN)
     rough = laplace_under(data, first, device, data.z)[1]
     setting = find_noise(data, rough, np.zeros((rough.residual.size, 0)), None)
     law = laplace_under(data, setting, device, rough.z)[1]
     fine = data.finer_at(device, law.z)
-    used = fine.used > 0
+    used = fine.blocks.used > 0
     residual, parts = _split(fine, setting, law, used)
-    histories = [part.history for part in fine.posterior.averages]
-    inputs = fine.blocks([_columns(history, data.base) for history in histories])
-    share = fine.force(device, law.z[None])[0] / data.scale_kN
+    histories = [part.history for part in fine.blocks]
+    inputs = fine.blocks.mean([_columns(history, data.base) for history in histories])
+    left = fine.likelihood.residual(law.z[None])[0]
+    share = (fine.blocks.force_kN - left) * fine.blocks.used / data.scale_kN
     record = {
         "shift": {name: {"before": {"mean": value}} for name, value in device.law_values(law.z).items()},
         "model": {"variant": model},
@@ -139,10 +140,10 @@ def _split(
     parts = []
     for part in range(n_parts):
         left = (place >= 0) & (place % n_parts == part)
-        rest = metric.without(left[used])
+        rest = ErrorModel(data, setting, metric.slope, ~left[used])
         refit = laplace(data, rest, state.model, state.z)
-        parts.append(Part((refit.residual - rest.integrated_out(refit.residual))[used], left[used]))
-    return state.residual - metric.integrated_out(state.residual), tuple(parts)
+        parts.append(Part((refit.residual - rest.integrated_out(refit.residual)[1])[used], left[used]))
+    return state.residual - metric.integrated_out(state.residual)[1], tuple(parts)
 
 
 def answer(question: Question, method: Any) -> dict[str, Any]:
