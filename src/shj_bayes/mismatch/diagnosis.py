@@ -271,15 +271,15 @@ def _models(shown: Proven, seed: int) -> tuple[Laplace, content.Draws, content.D
     out, answer, fine = shown.out, shown.answer, shown.fine
     base, setting = out.found[frozenset()].state, out.metric.setting
     alone = find_noise(out.data, base, np.zeros((base.residual.size, 0)), setting)
-    law = laplace(out.data, ErrorModel(out.data, alone, base.slope), base.model, base.z)
+    law = laplace(ErrorModel(out.data, alone, base.slope), base.model, base.z)
     under, first = laplace_under(fine, alone, law.model, law.z)
     draws = content.draws_of(first, seed)
     if not answer.findings:
-        wide = beside_missed(fine, under, first, (), tuple(out.fitter.classes.values()))
+        wide = beside_missed(under, first, (), tuple(out.fitter.classes.values()))
         return law, draws, content.draws_of(wide, seed)
     others = tuple(one for name, one in out.fitter.classes.items() if name not in answer.shown.key)
     sizes = [(f.member, f.size) for f in answer.findings]
-    wide = beside_missed(fine, ErrorModel(fine, setting, shown.after.slope), shown.after, sizes, others)
+    wide = beside_missed(ErrorModel(fine, setting, shown.after.slope), shown.after, sizes, others)
     return law, draws, content.draws_of(wide, seed)
 
 
@@ -287,7 +287,7 @@ def _said(shown: Proven, law: Laplace, before: content.Draws, draws: content.Dra
     """Give what a search found, as fields of the record; `law` and `before` as of `_models`."""
     out, answer, fine, both = shown.out, shown.answer, shown.fine, (shown.before, shown.after)
     noise = float(np.sqrt(np.mean(shown.after.residual[fine.blocks.used > 0] ** 2)))
-    regions = regions_of(out.data, ErrorModel(out.data, out.metric.setting, law.slope), law)
+    regions = regions_of(ErrorModel(out.data, out.metric.setting, law.slope), law)
     return {
         "verdict": answer.verdict,
         "reason": answer.reason.value,

@@ -321,7 +321,7 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
 
 def _in_place_of(fitter: Fitter, h: Hypothesis, place: int, of: Dependence) -> list[Hypothesis]:
     """Give the hypotheses with a formula of another class in the place of a curve, most probable first."""
-    rest = fitter.fitted(*without(fitter.data, h, place))
+    rest = fitter.fitted(*without(fitter.metric.data, h, place))
     if rest is None:
         return []
     return fitter.all_fitted(((*rest.members, f), f) for f in fitter.forms_of(of, rest.members, rest.state.z))
@@ -335,7 +335,7 @@ def _as_curve(fitter: Fitter, h: Hypothesis, place: int) -> Hypothesis | None:
     member = h.members[place]
     if member.variant.curve is not None:
         return h
-    members, z = without(fitter.data, h, place)
+    members, z = without(fitter.metric.data, h, place)
     looked = fitter.candidates_of(member.of.id, curves=True)
     if not looked or any(same_twice(looked[0], m) for m in members):
         return None
@@ -343,7 +343,7 @@ def _as_curve(fitter: Fitter, h: Hypothesis, place: int) -> Hypothesis | None:
     if rest is None:
         return None
     best = screen(fitter.metric, rest.state, looked)[0]
-    first = columns_of(fitter.data, h.state, place)[0]
+    first = columns_of(fitter.metric.data, h.state, place)[0]
     start = np.insert(z, [first] * len(best.variant.effect.parameters), 0.0)
     return fitter.fitted(replaced(h, place, best), start)
 

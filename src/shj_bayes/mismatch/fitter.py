@@ -41,20 +41,17 @@ class Fitter:
 
     Attributes
     ----------
-    data : BinnedData
-        The recordings.
     looked : sequence of Candidate
         What is looked for, with columns at the base law: they change little from model to model, and only choose what
         is fitted.
     metric : ErrorModel
-        Noise and discrepancy, found beside everything that is looked for.
+        Noise and discrepancy in the recordings, found beside everything that is looked for.
     hidden : frozenset of str
         Mechanisms whose formulas are not tried.
     floor : float
         Log weight, nats, below which a fit is given up on its way.
     """
 
-    data: BinnedData
     looked: Sequence[Candidate]
     metric: ErrorModel
     hidden: frozenset[str] = frozenset()
@@ -73,7 +70,8 @@ class Fitter:
     def model_of(self, members: Iterable[Candidate]) -> DeviceModel:
         """Model that holds given classes."""
         added = tuple(member.variant.effect for member in members)
-        return self.data.device.with_effects((*self.data.device.effects, *added))
+        device = self.metric.data.device
+        return device.with_effects((*device.effects, *added))
 
     def fitted(self, members: tuple[Candidate, ...], start: FloatArray, floor: float = -math.inf) -> Hypothesis | None:
         """Fit a hypothesis from a start; None where there is no fit.
@@ -81,7 +79,7 @@ class Fitter:
         The fit is given up on its way where the log weight will not reach `floor`.
         """
         try:
-            state = laplace(self.data, self.metric, self.model_of(members), start, max(self.floor, floor))
+            state = laplace(self.metric, self.model_of(members), start, max(self.floor, floor))
             # Or nothing can be weighed beside it. By half of the prior, as rounding differs when it is worked out anew.
             np.linalg.cholesky(0.5 * np.eye(state.z.size) + state.gaussian.inner)
             weight = state.evidence + len(members) * LOG_PRIOR_ODDS
@@ -97,7 +95,7 @@ class Fitter:
         curve, effect = member.variant.curve, member.variant.effect
         if not is_over_a_clock(member.of) or (curve is not None and curve.period is None):
             return False
-        return follows_cycles(self.data, effect, state.values_of(effect))
+        return follows_cycles(self.metric.data, effect, state.values_of(effect))
 
     def _about_size(self, state: Laplace, place: int, member: Candidate) -> float:
         """Log evidence that a class gains when its size and its smoothness are averaged over."""
@@ -105,7 +103,7 @@ class Fitter:
         curve = member.variant.curve
         if curve is None:
             return extra
-        own = columns_of(self.data, state, place)
+        own = columns_of(self.metric.data, state, place)
         given = state.gaussian
         its_own = np.isin(np.arange(state.z.size), own)
         gains = [given.sized(np.where(its_own, size / curve.size, 1.0)).gain for size in SIZES]
@@ -130,7 +128,8 @@ class Fitter:
     def with_own_noise(self, h: Hypothesis, start: ErrorParameters) -> Hypothesis | None:
         """Fit a hypothesis under the noise that is most probable beside it, searched for from a start."""
         none = np.zeros((h.state.residual.size, 0))
-        metric = ErrorModel(self.data, find_noise(self.data, h.state, none, start), h.state.slope)
+        data = self.metric.data
+        metric = ErrorModel(data, find_noise(data, h.state, none, start), h.state.slope)
         new = replace(self, metric=metric).fitted(h.members, h.state.z)
         return replace(new, metric=metric) if new is not None else None
 
@@ -139,16 +138,16 @@ class Fitter:
         if h not in self._screened:
             rest = [c for c in self.looked if c.of.id not in h.key]
             free = {c.of.id: c.of for c in rest}.values()
-            again = [wave for of in free for wave in waves(self.data, self.metric, h.state, of)]
+            again = [wave for of in free for wave in waves(self.metric, h.state, of)]
             apart = [c for c in (*rest, *again) if not any(same_twice(c, m) for m in h.members)]
             self._screened[h] = screen(self.metric, h.state, apart)
         return self._screened[h]
 
     def forms(self, h: Hypothesis, place: int) -> list[Candidate]:
         """Formulas of the class of a member, each from its best starts, with where the rest of the model is."""
-        return self.forms_of(
-            h.members[place].of, *without(self.data, h, place), (place, columns_of(self.data, h.state, place)[0])
-        )
+        data = self.metric.data
+        at = place, columns_of(data, h.state, place)[0]
+        return self.forms_of(h.members[place].of, *without(data, h, place), at)
 
     def forms_of(
         self, of: Dependence, members: tuple[Candidate, ...], z: FloatArray, at: tuple[int, int] | None = None
@@ -157,12 +156,12 @@ class Fitter:
 
         `at` is the place of the class among the members, and of its parameters among theirs; the last by default.
         """
-        place, first = at or (len(members), z.size)
-        acts, nothing, out = (of.action, of.coordinate), np.zeros((self.data.blocks.used.size, 0)), []
+        (place, first), data = at or (len(members), z.size), self.metric.data
+        acts, nothing, out = (of.action, of.coordinate), np.zeros((data.blocks.used.size, 0)), []
         known = [e for e in catalogue().values() if acts in e.acts and e.mechanism not in self.hidden]
         for effect in known:
             variant = Parametrisation(None, effect, FORMS / max(len(known), 1))
-            form = Candidate(of, variant, z, nothing, self.data.device)
+            form = Candidate(of, variant, z, nothing, data.device)
             model = self.model_of((*members[:place], form, *members[place:]))
             values = start_values(effect)
             if effect.parameters[0].either_sign:  # a size of either sign
@@ -170,7 +169,7 @@ class Fitter:
             tails = [np.array(tail) for tail in product(*values)]
             starts = np.array([np.insert(z, first, tail) for tail in tails])
             with np.errstate(all="ignore"):
-                residual = self.data.likelihood.at(model).residual(starts)
+                residual = data.likelihood.at(model).residual(starts)
                 heights = self.metric.squares(np.nan_to_num(residual.T, nan=1e6))
             best = np.argsort(heights, kind="stable")[: 1 if heights.size < 3 else 2]
             out += [replace(form, start=starts[i], model=model, gain=-0.5 * float(heights[i])) for i in best]

@@ -97,13 +97,14 @@ def places_left_out(data: BinnedData) -> tuple[NDArray[np.int64], int]:
     return place - (numbers.size - n_left), n_left
 
 
-def held_out(data: BinnedData, metric: ErrorModel, state: Laplace) -> HeldOut:
+def held_out(metric: ErrorModel, state: Laplace) -> HeldOut:
     """Predict cycles with a model that is fitted without them, from where it is with them, until it stands.
 
     Every eighth cycle is left out at a time, so that each is told from neighbours as in a test of other cycles. A
     prediction holds the error of the zero and what else is integrated out at its mean, but for the generic
     discrepancy, which is no prediction.
     """
+    data = metric.data
     evidence, (place, n_left) = data.blocks.used > 0, places_left_out(data)
     residual, density = np.zeros(evidence.size), np.zeros(n_left, dtype=np.float64)
     n_parts = min(PARTS, n_left)
@@ -111,7 +112,7 @@ def held_out(data: BinnedData, metric: ErrorModel, state: Laplace) -> HeldOut:
         left = (place >= 0) & (place % n_parts == part)
         rest = ErrorModel(data, metric.setting, metric.slope, ~left[evidence])
         try:
-            refit = laplace(data, rest, state.model, state.z)
+            refit = laplace(rest, state.model, state.z)
             predicted = refit.residual - rest.integrated_out(refit.residual)[1]
         except np.linalg.LinAlgError:  # no prediction without these cycles
             predicted = np.full(evidence.size, np.inf)
@@ -198,11 +199,11 @@ def _left_out(out: Search, answer: Answer) -> Proven:
     fine = out.data.finer_at(h.state.model, h.state.z)
     metric, before = laplace_under(fine, setting, base.model, base.z)
     if not answer.findings:
-        alone = held_out(fine, metric, before)
+        alone = held_out(metric, before)
         return Proven(out, answer, fine, before, before, (alone, alone))
     after = laplace_under(fine, setting, h.state.model, h.state.z)[1]
     metric = ErrorModel(fine, setting, after.slope)
-    return Proven(out, answer, fine, before, after, (held_out(fine, metric, before), held_out(fine, metric, after)))
+    return Proven(out, answer, fine, before, after, (held_out(metric, before), held_out(metric, after)))
 
 
 def _worst(shown: Proven) -> DroppedMember | None:
@@ -216,7 +217,7 @@ def _worst(shown: Proven) -> DroppedMember | None:
         if len(members) > 1:
             less, z = without(fine, replace(shown.answer.shown, state=shown.after), place)
             state = laplace_under(fine, setting, shown.out.fitter.model_of(less), z)[1]
-            rest = held_out(fine, metric, state)
+            rest = held_out(metric, state)
         gains.append(DroppedMember(member.of.id, Gain.of(rest, shown.held[1])))
     if all(one.gain.improves for one in gains) and not shown.gain.is_worse:
         return None

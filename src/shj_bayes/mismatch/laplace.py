@@ -56,9 +56,7 @@ def drawn_from(state: Laplace, n: int, seed: int = 1) -> FloatArray:
     return np.asarray(state.z + rng.standard_normal((n, state.z.size)) @ root.T)
 
 
-def laplace(
-    data: BinnedData, metric: ErrorModel, model: DeviceModel, z: FloatArray, floor: float = -math.inf
-) -> Laplace:
+def laplace(metric: ErrorModel, model: DeviceModel, z: FloatArray, floor: float = -math.inf) -> Laplace:
     """Go to the most probable parameters by steps of Gauss-Newton from `z`, shape (n_law,), and linearise there.
 
     Steps are kept as short as the derivatives have foretold them well: from far away a formula is no straight line.
@@ -71,14 +69,15 @@ def laplace(
             return math.inf
         return float(metric.products(residual[:, None])[0, 0] + at @ at)
 
-    both = data.likelihood.at(model).residual_and_slope(z[None])
+    likelihood = metric.data.likelihood.at(model)
+    both = likelihood.residual_and_slope(z[None])
     residual, slope = both[0][0], both[1][0]
     now, enough = height(residual, z), 2.0 * (metric.log_constant - floor)
     # Coefficients of curves act in proportion to their size: they may go far at once.
     unit = np.array([0.1 if law.either_sign else 1.0 for law in model.laws_of_parameters[: model.n_law]])
     reach = REACH
     for left in reversed(range(ROUNDS)):
-        columns = data.likelihood.at(model).jacobian(z, residual)
+        columns = likelihood.jacobian(z, residual)
         linear = metric.gaussian(np.column_stack([residual + columns @ z, columns]))
         fall = linear.along - linear.precision @ z
         if float(fall @ linear.solve(fall)) < CLOSE:
@@ -89,7 +88,7 @@ def laplace(
             step = step_within(reach, along, curvature)
             goes = float(np.linalg.norm(step))
             trial = np.clip(z + (axes @ step) / unit, -Z_LIMIT, Z_LIMIT)
-            moved = data.likelihood.at(model).residual_and_slope(trial[None])
+            moved = likelihood.residual_and_slope(trial[None])
             then = height(moved[0][0], trial)
             if then <= now - CLOSE:
                 break
@@ -111,7 +110,7 @@ def laplace_under(
 ) -> tuple[ErrorModel, Laplace]:
     """Fit a model under a noise, with the error model that this noise makes where the model starts."""
     metric = ErrorModel(data, setting, data.likelihood.at(model).residual_and_slope(z[None])[1][0])
-    return metric, laplace(data, metric, model, z)
+    return metric, laplace(metric, model, z)
 
 
 def visible(data: BinnedData, jacobian: FloatArray, change_kN: FloatArray) -> FloatArray:

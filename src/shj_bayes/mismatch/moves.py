@@ -81,7 +81,7 @@ class Search:
     @property
     def data(self) -> BinnedData:
         """The recordings."""
-        return self.fitter.data
+        return self.metric.data
 
     @property
     def metric(self) -> ErrorModel:
@@ -356,10 +356,10 @@ def _in_place_of_curve(search: Search, h: Hypothesis, place: int, rest: Hypothes
 
 def following(fitter: Fitter, h: Hypothesis, place: int) -> Iterator[Hypothesis]:
     """Give the hypotheses with a formula in the place of a curve that it follows: within what it may miss."""
-    allowed = tolerance(fitter.data, h, place)
+    allowed = tolerance(fitter.metric.data, h, place)
     for form in fitter.forms(h, place):
         one = fitter.fitted(replaced(h, place, form), form.start)
-        if one is not None and force_distance(fitter.data, h, one) <= allowed:
+        if one is not None and force_distance(fitter.metric.data, h, one) <= allowed:
             yield one
 
 
@@ -379,13 +379,13 @@ def follow_bends(search: Search) -> Search:
     bends = frozenset(m.variant.effect.id for m in h.members if m.of.action == MOTION)
     if bends <= search.bends:
         return search
-    fitter = replace(search.fitter, data=search.data.finer_at(h.state.model, h.state.z))
-    return look_for(replace(search, bends=bends, fitter=fitter), tuple(fitter.classes.values()))
+    data = search.data.finer_at(h.state.model, h.state.z)
+    return look_for(replace(search, bends=bends), data, tuple(search.fitter.classes.values()))
 
 
-def look_for(search: Search, classes: tuple[Dependence, ...]) -> Search:
-    """Look for given classes from here on, beside what was found."""
-    h, data = search.best, search.data
+def look_for(search: Search, data: BinnedData, classes: tuple[Dependence, ...]) -> Search:
+    """Look for given classes from here on in such blocks, beside what was found."""
+    h = search.best
     metric, rough = laplace_under(data, search.metric.setting, data.device, data.z)
     fitter = replace(search.fitter, metric=metric, looked=candidates(data, rough, classes))
     return refit_noise(_again(replace(search, fitter=fitter), h))

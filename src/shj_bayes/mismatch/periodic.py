@@ -130,12 +130,12 @@ GOOD_PART = 0.3  # of the variance of a residual
 STANDS_OUT = 3.0  # of the variance that the means of noise have
 
 
-def waves(data: BinnedData, metric: ErrorModel, state: Laplace, of: Dependence, most: int = 2) -> list[Candidate]:
+def waves(metric: ErrorModel, state: Laplace, of: Dependence, most: int = 2) -> list[Candidate]:
     """Find at most so many periods after which a curve of a class may come again, beside a model.
 
     An empty list where curves over the coordinate do not come again: `Coordinate.repeats` says how likely that is.
     """
-    over = _repeating(of)
+    over, data = _repeating(of), metric.data
     if over is None:
         return []
     slowest, fastest = _limits(data, over)
@@ -173,24 +173,24 @@ def _top_of(at: FloatArray, height: FloatArray) -> float:
     return float(at[k] + np.clip(shift, -1.0, 1.0) * (at[1] - at[0]))
 
 
-def resolved(data: BinnedData, metric: ErrorModel, state: Laplace, of: Sequence[Dependence]) -> BinnedData:
+def resolved(metric: ErrorModel, state: Laplace, of: Sequence[Dependence]) -> BinnedData:
     """Give the recordings in blocks that show what comes again: shorter ones where its period is too short for these.
 
     The state is that of the base law.
     """
-    shown = data
-    known: dict[str, tuple[BinnedData, ErrorModel, Laplace] | None] = {}  # of a coordinate, for all its classes
+    shown = data = metric.data
+    known: dict[str, tuple[ErrorModel, Laplace] | None] = {}  # of a coordinate, for all its classes
     for one in of:
         over = _repeating(one)
         if over is None:
             continue
         if over.id not in known:
             new = _finest(data, state, over)
-            known[over.id] = None if new is None else (new, *laplace_under(new, metric.setting, state.model, state.z))
+            known[over.id] = None if new is None else laplace_under(new, metric.setting, state.model, state.z)
         if (found := known[over.id]) is None:
             continue
-        fine, own, base = found
-        best = max(screen(own, base, waves(fine, own, base, one, 1)), key=lambda c: c.gain, default=None)
+        own, base = found
+        best = max(screen(own, base, waves(own, base, one, 1)), key=lambda c: c.gain, default=None)
         curve = best.variant.curve if best is not None and best.gain > 0.0 else None
         if best is None or curve is None or curve.period is None:
             continue
@@ -198,8 +198,8 @@ def resolved(data: BinnedData, metric: ErrorModel, state: Laplace, of: Sequence[
         if curve.period * _limits(data, over)[1] >= (1.0 if is_clock(over) else 2.0):
             continue
         if is_clock(over):
-            shown = fine if shown is data else shown
-        elif _is_most_of(base.residual, best.change, round(PER_TURN * fine.blocks.used.size / data.blocks.used.size)):
+            shown = own.data if shown is data else shown
+        elif _is_most_of(base.residual, best.change, round(PER_TURN * base.residual.size / state.residual.size)):
             longest_s = 0.5 * curve.period / (PER_TURN * data.blocks[0].history.peak_speed_mm_s)
             # From the first reading of a block to its last.
             shown = replace(data, longest_s=max(0.0, longest_s - data.timings[0].step_s)).finer_at(state.model, state.z)

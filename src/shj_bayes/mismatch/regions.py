@@ -59,8 +59,9 @@ SIDES = ("both", "push", "pull")
 WHERE = (("position", 11), ("speed", 6), ("slip", 8), ("travel", 12), ("amplitude", 6))  # and in how many intervals
 
 
-def regions_of(data: BinnedData, metric: ErrorModel, base: Laplace) -> list[Location]:
+def regions_of(metric: ErrorModel, base: Laplace) -> list[Location]:
     """List the regions in which the base law fails, the largest first, at most two for each coordinate."""
+    data = metric.data
     sense, run = data.blocks.channel("direction"), run_of(data)
     cuts, columns = [], []
     histories = [part.history for part in data.blocks]

@@ -96,7 +96,6 @@ def missed_by(data: BinnedData, state: Laplace, of: Dependence, size: float) -> 
 
 
 def beside_missed(
-    data: BinnedData,
     metric: ErrorModel,
     state: Laplace,
     found: Sequence[tuple[Candidate, float]],
@@ -113,12 +112,12 @@ def beside_missed(
     missed = [
         curves
         for member, size in found
-        if member.variant.curve is None and (curves := missed_by(data, state, member.of, size)) is not None
+        if member.variant.curve is None and (curves := missed_by(metric.data, state, member.of, size)) is not None
     ]
     if missed:
         covariance = _spread(metric, state, *missed)
     best: dict[str, Candidate] = {}
-    for c in screen(metric, state, candidates(data, state, tuple(others))):
+    for c in screen(metric, state, candidates(metric.data, state, tuple(others))):
         best.setdefault(c.of.id, c)
     for c in best.values():
         column = c.change[:, None] if c.variant.curve is None else unit_columns(c)

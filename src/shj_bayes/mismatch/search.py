@@ -91,21 +91,21 @@ def search(
     size = float(np.std(data.likelihood.residual(data.z[None])[0]))
     start = ErrorParameters(noise_of_size(data.device, size), MODEL_ERROR * data.scale_kN)
     metric, rough = laplace_under(data, start, data.device, data.z)
-    shown = resolved(data, metric, rough, whole)
+    shown = resolved(metric, rough, whole)
     if shown is not data:
         data = shown
         metric, rough = laplace_under(data, start, data.device, data.z)
     if data.blocks.used.size > MOST_BLOCKS:
         classes = whole = [of for of in whole if comes_again_in_place(of)]
     looked = candidates(data, rough, tuple(whole))
-    again = [w for of in whole for w in waves(data, metric, rough, of)]
+    again = [w for of in whole for w in waves(metric, rough, of)]
     metric = noise_beside(data, rough, [*looked, *again], None)
-    out = Search(Fitter(data, looked, metric, hidden), tell=tell).add((), data.z)
+    out = Search(Fitter(looked, metric, hidden), tell=tell).add((), data.z)
     assert out.found
     out = deepen_from(try_constant(out), 0)
     if whole != list(classes):
         # Only now: beside few classes, curves over time that change within a cycle do what many others do together.
-        out = look_for(out, tuple(classes))
+        out = look_for(out, out.data, tuple(classes))
         out = deepen_from(out, len(out.best.members))
     out = detect_chatter(out)
     for move in LAST_MOVES:
@@ -342,7 +342,7 @@ def _with_curves(fitter: Fitter, rest: Hypothesis, name: str) -> list[Hypothesis
     curves = [Curve("capacity", over, length) for over, length in FREE[name]]
     variants = tuple(Parametrisation(curve, curve.effect(), 1.0) for curve in curves)
     of = replace(fitter.classes[name], variants=variants)
-    tried = screen(fitter.metric, rest.state, candidates(fitter.data, rest.state, (of,)))
+    tried = screen(fitter.metric, rest.state, candidates(fitter.metric.data, rest.state, (of,)))
     return fitter.all_fitted(((*rest.members, c), c) for c in tried)
 
 

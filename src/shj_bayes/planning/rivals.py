@@ -381,10 +381,10 @@ def linearise(
     slope = data.likelihood.at(device).residual_and_slope(data.z[None])[1][0]
     size = float(np.std(data.likelihood.at(device).residual(data.z[None])[0]))
     start = ErrorParameters(noise_of_size(device, size), max(size, 1e-6))
-    rough = laplace(data, ErrorModel(data, start, slope), device, data.z)
+    rough = laplace(ErrorModel(data, start, slope), device, data.z)
     looked = candidates(data, rough, needed)
     metric = noise_beside(data, rough, looked, None)
-    fitter = Fitter(data, looked, metric, tested.hidden)
+    fitter = Fitter(looked, metric, tested.hidden)
     found = [(key, p, h) for key, p in sets for h in _ways(fitter, key)]
     if not found:
         raise PlanError(f"{name}: none of its rivals can be fitted; run diagnose again")
@@ -453,7 +453,7 @@ def _shares(fits: Sequence[tuple[Key, float, Hypothesis]], *, even: bool) -> Flo
 
 def _ways(fitter: Fitter, key: Key) -> list[Hypothesis]:
     """Fit a set of classes: curves of the likely kinds, and formulas in the place of the last of them."""
-    ways = [h for h in (fitter.fitted((), fitter.data.z),) if h is not None]
+    ways = [h for h in (fitter.fitted((), fitter.metric.data.z),) if h is not None]
     for left in range(len(key), 0, -1):
         found: list[Hypothesis] = []
         h = max(ways, key=lambda h: h.log_weight)

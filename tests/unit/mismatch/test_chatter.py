@@ -126,9 +126,9 @@ def test_more_force_where_it_chatters_most_is_not_of_its_making():
 
 def _matters(action, coordinate, value):
     """Size that a class must have beside teeth in push, with a value of its parameter."""
-    quiet = SimpleNamespace(fluctuation=0.0, is_rough=False)
-    data = SimpleNamespace(scale_kN=1.0, largest_kN=1.0, device=SimpleNamespace(effects=()))
+    data = SimpleNamespace(scale_kN=1.0, device=SimpleNamespace(effects=()))
+    quiet = SimpleNamespace(fluctuation=0.0, is_rough=False, data=data)
     model = SimpleNamespace(effects=(SimpleNamespace(id="own"),), law_names=("Fy", "own.size"))
     member = SimpleNamespace(of=Dependence(action, coordinate, "1", ()))
     h = SimpleNamespace(members=(member,), state=SimpleNamespace(model=model, z=np.array([0.0, value])))
-    return Search(Fitter(data, [], quiet), chatter=Chatter(0.1, 0.5, np.ones(2), 0.06, 1.0)).matters_of(h, 0)
+    return Search(Fitter([], quiet), chatter=Chatter(0.1, 0.5, np.ones(2), 0.06, 1.0)).matters_of(h, 0)

@@ -61,7 +61,7 @@ def starts_of(data: BinnedData, metric: ErrorModel) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def state(data: BinnedData, metric: ErrorModel) -> Laplace:
-    return laplace(data, metric, data.device, data.z)
+    return laplace(metric, data.device, data.z)
 
 
 def test_the_parameters_of_the_noise_are_read_back(data: BinnedData, metric: ErrorModel) -> None:
@@ -217,7 +217,7 @@ def test_settling_reaches_the_least_squares_of_a_law(
         return np.concatenate([root @ data.likelihood.residual(z[None])[0][used], z])
 
     best = least_squares(misfit, data.z, method="lm", diff_step=1e-4).x
-    far = laplace(data, metric, data.device, data.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: data.z.size]))
+    far = laplace(metric, data.device, data.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: data.z.size]))
     sd = np.sqrt(np.diag(state.covariance))
     for one in (state, far):
         assert np.all(np.abs(one.z - best) < 0.2 * sd)
@@ -231,8 +231,8 @@ def test_settling_stops_where_steps_like_the_last_would_not_do(
 ) -> None:
     """One that is out of reach costs a step; one within reach changes nothing."""
     start = data.z + 0.2 * np.array([1.0, -1, 1, -1, 1][: data.z.size])
-    whole = laplace(data, metric, data.device, start)
-    within, beyond = (laplace(data, metric, data.device, start, whole.evidence + up) for up in (-10.0, 1e6))
+    whole = laplace(metric, data.device, start)
+    within, beyond = (laplace(metric, data.device, start, whole.evidence + up) for up in (-10.0, 1e6))
     np.testing.assert_array_equal(within.z, whole.z)
     first = metric.log_constant - 0.5 * float(metric.products(data.likelihood.residual(start[None]).T)[0, 0])
     assert first < beyond.evidence < whole.evidence - 1.0
@@ -343,7 +343,7 @@ def test_held_out_cycles_are_those_of_a_refit(
 
     monkeypatch.setattr(Likelihood, "residual_and_slope", residual_and_slope)
     monkeypatch.setattr(Likelihood, "jacobian", lambda *_: columns)
-    got = held_out(data, metric, state)
+    got = held_out(metric, state)
     cycle = cycles_of(data)
     first = {int(cycle[0]), int(cycle[data.blocks[0].n])}
     left_out = [one for one in np.unique(cycle[used]) if one not in first]

@@ -25,7 +25,8 @@ def _hypothesis(*names):
 
 def _quiet(**found):
     """Search in which the noise is that of a load cell."""
-    return Search(Fitter(SimpleNamespace(scale_kN=1.0), [], SimpleNamespace(fluctuation=0.0, is_rough=False)), **found)
+    quiet = SimpleNamespace(fluctuation=0.0, is_rough=False, data=SimpleNamespace(scale_kN=1.0))
+    return Search(Fitter([], quiet), **found)
 
 
 @pytest.fixture

@@ -37,7 +37,7 @@ def prying(trials):
 def test_what_a_formula_may_miss_widens_the_parameters_that_it_could_be(prying):
     out, answer = prying
     state = answer.shown.state
-    wide = beside_missed(out.data, out.metric, state, found(answer))
+    wide = beside_missed(out.metric, state, found(answer))
     ratio = np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance))
     assert np.all(ratio > 1.0 - 1e-9)
     names = state.model.law_names
@@ -64,7 +64,7 @@ def test_a_class_too_small_to_matter_widens_the_parameters_that_it_moves(trials)
     out, answer = answered(trials.simulate({"prying": {"size": 0.007, "power": 2.0}}, 2), "distance")
     assert not answer.findings
     state = out.found[frozenset()].state
-    wide = beside_missed(out.data, out.metric, state, (), tuple(out.fitter.classes.values()))
+    wide = beside_missed(out.metric, state, (), tuple(out.fitter.classes.values()))
     ratio = np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance))
     assert np.all(ratio > 1.0 - 1e-6)
     assert ratio.max() > 1.2
@@ -73,7 +73,7 @@ def test_a_class_too_small_to_matter_widens_the_parameters_that_it_moves(trials)
 def test_a_class_that_is_not_there_widens_nothing(trials):
     out, _ = answered(trials.simulate({}, 3), "position")
     state = out.found[frozenset()].state
-    wide = beside_missed(out.data, out.metric, state, (), tuple(out.fitter.classes.values()))
+    wide = beside_missed(out.metric, state, (), tuple(out.fitter.classes.values()))
     assert np.sqrt(np.diag(wide.covariance) / np.diag(state.covariance)).max() < 1.1
 
 
@@ -90,7 +90,7 @@ def test_what_a_formula_may_miss_over_its_own_coordinate_is_no_other_class(trial
     data = data_of(runs, DeviceModel(len(runs), read_priors("afc")))
     travel, over = (next(c for c in classes() if c.id == f"capacity over {name}") for name in ("travel", coordinate))
     metric, rough = laplace_under(data, ErrorParameters(noise_of_size(data.device, 1.0), 0.1), data.device, data.z)
-    fitter = Fitter(data, candidates(data, rough, (travel, over)), metric)
+    fitter = Fitter(candidates(data, rough, (travel, over)), metric)
     form = next(form for form in fitter.forms_of(travel, (), data.z) if form.variant.effect.id == "wear")
     rest = fitter.fitted((form,), form.start)
     noise = find_noise(data, rest.state, np.zeros((rest.state.residual.size, 0)))

@@ -141,7 +141,7 @@ def _split(
     for part in range(n_parts):
         left = (place >= 0) & (place % n_parts == part)
         rest = ErrorModel(data, setting, metric.slope, ~left[used])
-        refit = laplace(data, rest, state.model, state.z)
+        refit = laplace(rest, state.model, state.z)
         parts.append(Part((refit.residual - rest.integrated_out(refit.residual)[1])[used], left[used]))
     return state.residual - metric.integrated_out(state.residual)[1], tuple(parts)
 
