@@ -10,7 +10,7 @@ from serving import write_device
 
 from shj_bayes.app.manifest import read_manifest
 from shj_bayes.bench import archive, server
-from shj_bayes.bench.session import HEAD, KEPT, Session
+from shj_bayes.bench.session import HEAD, KEPT, Session, bring, place_for, reading_of
 from shj_bayes.errors import CampaignError
 
 
@@ -18,7 +18,7 @@ def session_with(folder: Path, *names: str) -> Session:
     """A session whose files came in under these names."""
     session = Session(folder)
     for name in names:
-        path = session.place_for(name)
+        path = place_for(session, name)
         path.write_text("time_s,displacement_mm,force_kN\n0,0,0\n", encoding="utf-8")
         session.add(path)
     return session
@@ -44,10 +44,9 @@ def test_the_commands_read_the_manifest(tmp_path: Path) -> None:
     session = session_with(tmp_path, "a-1.csv", "a-2.csv")
     key = session.sets[0].devices[0].files[0]
     session.set_reading(key, {"columns": "time=1,displacement=2,force=3", "units": "time=ms", "runs": "one"})
-    session.describe_set(
-        session.sets[0].id, {"connection": {"bolts": "2", "slot_mm": 220, "shim": ""}, "note": 'a "b"\n\\'}
-    )
-    session.describe_device(session.sets[0].devices[1].id, {"note": "second", "options": {"model": "continuous"}})
+    session.sets[0].describe({"connection": {"bolts": "2", "slot_mm": 220, "shim": ""}, "note": 'a "b"\n\\'})
+    session.sets[0].devices[1].describe({"note": "second", "options": {"model": "continuous"}})
+    session.write()
     first, second = read_manifest(tmp_path / "campaign.toml").devices
     assert (first.options.columns, first.options.runs) == ("time=1,displacement=2,force=3", "one")
     assert first.set_note == 'a "b"\n\\'
@@ -86,9 +85,9 @@ def test_columns_that_were_chosen_are_chosen_for_files_of_the_same_form(tmp_path
     session = session_with(tmp_path, "a.txt")
     session.set_reading("f1", {"units": "mm,kN,s"}, form="abc")
     again = Session(tmp_path)
-    path = again.place_for("b.txt")
+    path = place_for(again, "b.txt")
     path.write_text("x", encoding="utf-8")
-    assert again.reading_of(again.add(path, "abc")) == {"units": "mm,kN,s"}
+    assert reading_of(again, again.add(path, "abc")) == {"units": "mm,kN,s"}
 
 
 def test_a_manifest_made_by_hand_is_kept_with_all_that_it_says(tmp_path: Path) -> None:
@@ -102,7 +101,8 @@ def test_a_manifest_made_by_hand_is_kept_with_all_that_it_says(tmp_path: Path) -
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     before = read_manifest(tmp_path / "campaign.toml")
     session = Session(tmp_path)
-    session.describe_device(session.sets[0].devices[0].id, {"note": ""})
+    session.sets[0].devices[0].describe({"note": ""})
+    session.write()
     assert read_manifest(tmp_path / "campaign.toml") == before
     assert (tmp_path / KEPT).read_text(encoding="utf-8") == text
     assert (tmp_path / "campaign.toml").read_text(encoding="utf-8").startswith(HEAD)
@@ -120,7 +120,8 @@ def test_a_manifest_that_is_none_is_told(tmp_path: Path, text: str) -> None:
 
 def test_a_folder_goes_into_one_file_and_back(tmp_path: Path) -> None:
     session = session_with(tmp_path / "bench", "a-1.csv")
-    session.describe_set(session.sets[0].id, {"note": "kept"})
+    session.sets[0].describe({"note": "kept"})
+    session.write()
     (tmp_path / "bench" / "checkpoint.h5").write_bytes(b"under way")
     target = tmp_path / "out.zip"
     archive.pack(tmp_path / "bench", target)
@@ -210,5 +211,5 @@ def test_a_set_that_is_brought_takes_a_name_that_none_has(tmp_path: Path) -> Non
     for names in (("A",), ("A", "A (2)")):
         sets = "".join(f'[[set]]\nname = "{name}"\ndevice = []\n' for name in names)
         manifest.write_text(f'schema = "shj-bayes/campaign/1"\nname = "there"\n{sets}', encoding="utf-8")
-        session.bring(manifest)
+        bring(session, manifest)
     assert [one.name for one in session.sets] == ["A", "A (2)", "A (2) (2)"]

@@ -13,7 +13,7 @@ from serving import Served, write_device
 
 from shj_bayes.app.manifest import read_manifest
 from shj_bayes.bench import work
-from shj_bayes.bench.session import Session
+from shj_bayes.bench.session import Session, place_for
 from shj_bayes.cli import main
 from shj_bayes.errors import ReportError
 from shj_bayes.results.device import read_group
@@ -30,7 +30,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("work") / "bench"
     session = Session(place)
     for path in write_device(tmp_path_factory.mktemp("given"), "a-1", seed=3):
-        target = session.place_for(path.name)
+        target = place_for(session, path.name)
         shutil.copyfile(path, target)
         session.add(target)
     return place
@@ -51,7 +51,7 @@ def test_what_never_slides_does_not_pass(tmp_path: Path) -> None:
     t = np.arange(0, 60, 0.1)
     x = 0.5 * np.sin(0.6 * t)
     rows = "\n".join(f"{a:.2f},{b:.4f},{18 * b:.4f}" for a, b in zip(t, x, strict=True))
-    path = session.place_for("elastic.csv")
+    path = place_for(session, "elastic.csv")
     path.write_text(f"time_s,displacement_mm,force_kN\n{rows}\n", encoding="utf-8")
     session.add(path)
     told = work.check(tmp_path, "Set 1", "elastic", quiet)

@@ -97,7 +97,8 @@ def unpack(source: Path, folder: Path) -> None:
         for name, digest in digests.items():
             if file_digest(folder / name) != digest:
                 raise CampaignError(f"{source.name}: {shown(name)} was altered after the archive was made")
-        if not Session(folder).inside():
+        root = folder.resolve()
+        if not all(path.resolve().is_relative_to(root) for path in Session(folder).files.values()):
             raise CampaignError(f"{source.name}: its {MANIFEST} names recordings that are not in the archive")
     except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)

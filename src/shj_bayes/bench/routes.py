@@ -24,7 +24,16 @@ from shj_bayes._util.files import replacing, shipped
 from shj_bayes._util.processes import CallFailedError
 from shj_bayes.bench.archive import pack
 from shj_bayes.bench.jobs import Job, Jobs
-from shj_bayes.bench.session import MANIFEST, Session
+from shj_bayes.bench.session import (
+    MANIFEST,
+    Session,
+    bring,
+    history_in,
+    place_for,
+    place_for_history,
+    reading_of,
+    same_as,
+)
 from shj_bayes.errors import CampaignError, ShjError, system_words, words_of
 from shj_bayes.options import MarginOptions, flag_of
 from shj_bayes.recording.limits import MAX_BYTES
@@ -81,7 +90,7 @@ class Bench:
 
     async def found_in(self, key: str) -> dict[str, Any]:
         """Give what was found in a file, read as its device says."""
-        path, chosen = self.session.file(key), self.session.reading_of(key)
+        path, chosen = self.session.file(key), reading_of(self.session, key)
         stamp = reading_stamp(path, chosen)
         if key not in self.read or self.read[key][0] != stamp:
             self.read[key] = stamp, await self.jobs.ask("read_file", self.session.folder, path, chosen)
@@ -287,11 +296,11 @@ async def events(bench: Bench, request: Request) -> Response:
 
 async def upload(bench: Bench, request: Request) -> Any:
     """Take a recording in, and read it."""
-    path = bench.session.place_for(request.query_params.get("name", ""))
+    path = place_for(bench.session, request.query_params.get("name", ""))
     with replacing(path) as part, part.open("wb") as stream:
         async for piece in body_of(request, MAX_BYTES):
             stream.write(piece)
-    if (there := bench.session.same_as(path)) is not None:
+    if (there := same_as(bench.session, path)) is not None:
         path.unlink()
         return {**await bench.found_in(there), "already": True}
     plain = await bench.jobs.ask("read_file", bench.session.folder, path, {})
@@ -328,14 +337,16 @@ async def arrange(bench: Bench, request: Request) -> Any:
 
 async def describe_set(bench: Bench, request: Request) -> Any:
     """Take down what is known of a set."""
-    bench.session.describe_set(request.path_params["id"], await said(request))
+    bench.session.group(request.path_params["id"]).describe(await said(request))
+    bench.session.write()
     bench.say("changed", "sets")
     return await bench.state()
 
 
 async def describe_device(bench: Bench, request: Request) -> Any:
     """Take down what is known of a device."""
-    bench.session.describe_device(request.path_params["id"], await said(request))
+    bench.session.device(request.path_params["id"])[1].describe(await said(request))
+    bench.session.write()
     bench.say("changed", "sets")
     return await bench.state()
 
@@ -391,9 +402,9 @@ def margins_asked(bench: Bench, content: dict[str, Any]) -> dict[str, Any]:
     asked = stated(content)
     for name in ("history", "drift"):
         if name in asked:
-            if bench.session.history is None:
+            if (path := history_in(bench.session.folder)) is None:
                 raise CampaignError("no history was dropped in: choose a file of displacement (mm) over time (s)")
-            asked[name] = str(bench.session.history)
+            asked[name] = str(path)
     return asked
 
 
@@ -405,7 +416,7 @@ async def margins(bench: Bench, request: Request) -> Any:
 
 async def history(bench: Bench, request: Request) -> Any:
     """Take a history of displacement in."""
-    path = bench.session.place_for_history(request.query_params.get("name", ""))
+    path = place_for_history(bench.session.folder, request.query_params.get("name", ""))
     with replacing(path) as part, part.open("wb") as stream:
         async for piece in body_of(request, MAX_BYTES):
             stream.write(piece)
@@ -465,9 +476,9 @@ async def story(bench: Bench, request: Request) -> Any:
     """Bring in the recordings of a story that ships with the program, or a measured one that lies beside it."""
     name = request.path_params["name"]
     if name in STORIES:
-        bench.session.bring(shipped("data", "examples", STORIES[name]))
+        bring(bench.session, shipped("data", "examples", STORIES[name]))
     elif name == "brake" and BRAKE.is_file():
-        path = bench.session.place_for(BRAKE.name)
+        path = place_for(bench.session, BRAKE.name)
         await asyncio.to_thread(shutil.copyfile, BRAKE, path)
         bench.session.add(path)
     else:

@@ -35,66 +35,98 @@ _UNSAFE = re.compile(r"[^\w .()+-]+")
 
 
 @dataclass(eq=False)
-class Entry:
-    """A set of the manifest, or a device in it."""
+class BenchDevice:
+    """A device of the manifest."""
 
     id: str
-    content: dict[str, Any]  # its table; of a set without its devices
-    files: list[str] = field(default_factory=list)  # of a device: ids of its recordings, in the order they were run
-    devices: list["Entry"] = field(default_factory=list)  # of a set
+    content: dict[str, Any]  # its table
+    files: list[str] = field(default_factory=list)  # ids of its recordings, in the order they were run
 
     @property
     def name(self) -> str:
         """Its name."""
         return str(self.content["name"])
 
+    def choose(self, options: Mapping[str, Any], known: tuple[str, ...] = CHOSEN) -> None:
+        """Choose all of its options that are `known`; empty ones are left out."""
+        kept = {name: value for name, value in self.content.get("options", {}).items() if name not in known}
+        _put(self.content, "options", kept | _plain_options(options, known))
+        self.content.pop("runs", None)
+
+    def describe(self, said: Mapping[str, Any]) -> None:
+        """Set what is known of it: options of its fit, and a note."""
+        if "options" in said:
+            self.choose(said["options"])
+        if "note" in said:
+            _put(self.content, "note", _note(said["note"]))
+
+
+@dataclass(eq=False)
+class BenchSet:
+    """A set of the manifest."""
+
+    id: str
+    content: dict[str, Any]  # its table without its devices
+    devices: list[BenchDevice] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return str(self.content["name"])
+
+    def describe(self, said: Mapping[str, Any]) -> None:
+        """Set what is known of it: its connection as tested, and a note."""
+        connection = {}
+        for name, value in dict(said.get("connection") or {}).items():
+            if name not in CONNECTION:
+                raise CampaignError(f"a connection has no {shown(name, 30)}; known are {', '.join(CONNECTION)}")
+            if value in ("", None):
+                continue
+            try:
+                connection[name] = CONNECTION[name](value)
+            except (TypeError, ValueError) as error:
+                raise CampaignError(f"{name} = {shown(value)} is no number") from error
+        _put(self.content, "connection", connection)
+        _put(self.content, "note", _note(said.get("note")))
+
 
 class Session:
-    """Files, devices and sets of a folder; what is changed is written at once."""
+    """Files, devices and sets of a folder; what is changed is written at once, but for what entries are told."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.files: dict[str, Path] = {}
-        self.sets: list[Entry] = []
-        self.forms: dict[str, dict[str, Any]] = {}
+        self.sets: list[BenchSet] = []
+        self.forms = _forms(folder)
         self.top: dict[str, Any] = {"schema": SCHEMA, "name": plain_name(folder.name)}
         self._numbers = count(1)
-        self._read()
-
-    def _read(self) -> None:
-        memory = read_json(self.folder / MEMORY, CampaignError) if (self.folder / MEMORY).is_file() else {}
-        forms = memory.get("forms") if isinstance(memory, dict) else None
-        for form, chosen in (forms or {}).items():
-            self.forms[str(form)] = (
-                {k: v for k, v in chosen.items() if k in READING} if isinstance(chosen, dict) else {}
-            )
-        manifest = self.folder / MANIFEST
+        manifest = folder / MANIFEST
         if manifest.is_file():
             text = manifest.read_text(encoding="utf-8")
             try:
                 content = tomllib.loads(text)
                 self.top = {key: value for key, value in content.items() if key != "set"}
-                self._take(content.get("set", ()), lambda name: self.folder / name)
+                self.take(content.get("set", ()), lambda name: folder / name)
             except (tomllib.TOMLDecodeError, KeyError, TypeError, AttributeError) as error:
                 raise CampaignError(
-                    f"{MANIFEST} in {self.folder.name} is none that the bench can go on with "
+                    f"{MANIFEST} in {folder.name} is none that the bench can go on with "
                     f"({type(error).__name__}: {plain_text(str(error))[:200]}); mend it, or open another folder"
                 ) from error
             if not text.startswith(HEAD):
-                shutil.copyfile(manifest, self.folder / KEPT)
+                shutil.copyfile(manifest, folder / KEPT)
         known = {path.resolve() for path in self.files.values()}
-        loose = sorted((self.folder / RECORDINGS).iterdir()) if (self.folder / RECORDINGS).is_dir() else []
+        loose = sorted((folder / RECORDINGS).iterdir()) if (folder / RECORDINGS).is_dir() else []
         for path in loose:
             if path.is_file() and not path.name.startswith(".") and path.resolve() not in known:
                 self._id_of(path)
 
-    def _take(self, sets: Iterable[Mapping[str, Any]], place: Callable[[str], Path]) -> None:
+    def take(self, sets: Iterable[Mapping[str, Any]], place: Callable[[str], Path]) -> None:
         """Take tables of a manifest in; `place` gives the path of a recording by how they name it."""
         for table in sets:
-            own = Entry(f"s{next(self._numbers)}", {k: v for k, v in table.items() if k != "device"})
+            own = BenchSet(f"s{next(self._numbers)}", {k: v for k, v in table.items() if k != "device"})
             for device in table.get("device", ()):
                 files = [self._id_of(place(str(name))) for name in device["recordings"]]
-                one = Entry(f"d{next(self._numbers)}", dict(device), files)
+                one = BenchDevice(f"d{next(self._numbers)}", dict(device), files)
                 assert one.name
                 own.devices.append(one)
             assert own.name
@@ -106,68 +138,22 @@ class Session:
         self.files[key] = path
         return key
 
-    def inside(self) -> bool:
-        """Whether every recording lies in the folder; those of a folder from elsewhere must."""
-        root = self.folder.resolve()
-        return all(path.resolve().is_relative_to(root) for path in self.files.values())
-
     @property
-    def devices(self) -> Iterator[tuple[Entry, Entry]]:
+    def devices(self) -> Iterator[tuple[BenchSet, BenchDevice]]:
         """All devices, each with its set."""
         return ((group, device) for group in self.sets for device in group.devices)
 
-    def device(self, key: str) -> tuple[Entry, Entry]:
+    def device(self, key: str) -> tuple[BenchSet, BenchDevice]:
         """Find a device by its id, with its set; `CampaignError` where there is none."""
         return _here(next((pair for pair in self.devices if pair[1].id == key), None), "device", key)
 
-    def group(self, key: str) -> Entry:
+    def group(self, key: str) -> BenchSet:
         """Find a set by its id; `CampaignError` where there is none."""
         return _here(next((one for one in self.sets if one.id == key), None), "set", key)
 
     def file(self, key: str) -> Path:
         """Find a file by its id; `CampaignError` where there is none."""
         return _here(self.files.get(key), "file", key)
-
-    def reading_of(self, key: str) -> dict[str, Any]:
-        """Options with which a file is read: those of the device that it belongs to."""
-        for group, device in self.devices:
-            if key in device.files:
-                given = {**self.top.get("defaults", {}), **group.content.get("options", {})}
-                given |= device.content.get("options", {})
-                given |= {"runs": device.content["runs"]} if "runs" in device.content else {}
-                return {name: value for name, value in given.items() if name in READING}
-        return {}
-
-    def place_for(self, name: str) -> Path:
-        """Give the path for a file that comes in under a name, which is used as a name alone."""
-        if len(self.files) >= MOST_FILES:
-            raise CampaignError(f"{MOST_FILES} files are in this folder already; begin another one")
-        base = _UNSAFE.sub("_", plain_text(name.replace("\\", "/").rpartition("/")[2])).strip(" .")[-MOST_NAME:]
-        stem, dot, endings = (base or "recording").partition(".")
-        folder = self.folder / RECORDINGS
-        folder.mkdir(parents=True, exist_ok=True)
-        tries = (f"{stem or 'recording'}{f'-{n}' if n else ''}{dot}{endings}" for n in count())
-        return next(folder / one for one in tries if not (folder / one).exists())
-
-    def same_as(self, path: Path) -> str | None:
-        """Find a file of the folder with the same content, by its id."""
-        size, digest = path.stat().st_size, file_digest(path)
-        for key, one in self.files.items():
-            if one != path and one.is_file() and one.stat().st_size == size and file_digest(one) == digest:
-                return key
-        return None
-
-    @property
-    def history(self) -> Path | None:
-        """The history of displacement that was dropped in; None where there is none."""
-        return next(iter(sorted((self.folder / "bench").glob("history.*"))), None)
-
-    def place_for_history(self, name: str) -> Path:
-        """Give the path for a history, in the place of the one before; its name tells its format alone."""
-        if before := self.history:
-            before.unlink()
-        ending = _ENDING.search(name)
-        return self.folder / "bench" / f"history{ending[0] if ending else '.csv'}"
 
     def add(self, path: Path, form: str = "") -> str:
         """Take a file in: a run of the device that its name belongs to, or a new device. Give its id.
@@ -179,44 +165,22 @@ class Session:
         parts = _RUN.match(stem)
         name = plain_name(parts[1] if parts and parts[1] else stem)
         if parts:
-            mine = next((d for _, d in self.devices if d.name == name and self._in_folder(d)), None)
-            if mine is not None:
+            mine = next((device for _, device in self.devices if device.name == name), None)
+            if mine is not None and all(self.files[one].parent == self.folder / RECORDINGS for one in mine.files):
                 mine.files = sorted([*mine.files, key], key=lambda one: _number(self.files[one]))
                 self.write()
                 return key
         numbered, taken = _NUMBERED.match(name), {device.name for _, device in self.devices}
-        self._set_named(plain_name(numbered[1] or numbered[2]) if numbered else "Set 1").devices.append(
-            Entry(f"d{next(self._numbers)}", {"name": _free_name(name, taken)}, [key])
-        )
+        set_name = plain_name(numbered[1] or numbered[2]) if numbered else "Set 1"
+        own = next((one for one in self.sets if one.name == set_name), None)
+        if own is None:
+            own = BenchSet(f"s{next(self._numbers)}", {"name": set_name})
+            self.sets.append(own)
+        own.devices.append(BenchDevice(f"d{next(self._numbers)}", {"name": _free_name(name, taken)}, [key]))
         if form in self.forms:
             self.set_reading(key, self.forms[form])
         self.write()
         return key
-
-    def bring(self, manifest: Path) -> None:
-        """Copy the recordings of a manifest that ships with the program, with its sets and devices."""
-
-        def copied(name: str) -> Path:
-            target = self.place_for(name)
-            shutil.copyfile(manifest.parent / name, target)
-            return target
-
-        tables, taken = tomllib.loads(manifest.read_text(encoding="utf-8"))["set"], {one.name for one in self.sets}
-        for table in tables:
-            table["name"] = _free_name(table["name"], taken)
-            taken.add(table["name"])
-        self._take(tables, copied)
-        self.write()
-
-    def _in_folder(self, device: Entry) -> bool:
-        return all(self.files[key].parent == self.folder / RECORDINGS for key in device.files)
-
-    def _set_named(self, name: str) -> Entry:
-        own = next((one for one in self.sets if one.name == name), None)
-        if own is None:
-            own = Entry(f"s{next(self._numbers)}", {"name": name})
-            self.sets.append(own)
-        return own
 
     def remove(self, key: str) -> None:
         """Take a file out of the folder, and its device where that has no other."""
@@ -233,14 +197,11 @@ class Session:
 
     def set_reading(self, key: str, options: Mapping[str, Any], form: str = "") -> None:
         """Choose how the device of a file is read, and files of the same form that come later."""
-        chosen = _plain_options(options, READING)
         for _, device in self.devices:
             if key in device.files:
-                kept = {n: v for n, v in device.content.get("options", {}).items() if n not in READING}
-                device.content["options"] = kept | chosen
-                device.content.pop("runs", None)
+                device.choose(options, READING)
         if form:
-            self.forms[form] = chosen
+            self.forms[form] = _plain_options(options, READING)
         self.write()
 
     def arrange(self, wanted: Any) -> None:
@@ -259,60 +220,17 @@ class Session:
             ]
         except (TypeError, KeyError, AttributeError) as error:
             raise CampaignError(f"an arrangement that cannot be read ({type(error).__name__})") from error
-        self._check_arrangement([(name, devices) for _, name, devices in sets])
+        _check([(name, devices) for _, name, devices in sets], self.files)
         known, groups = {device.id: device for _, device in self.devices}, {one.id: one for one in self.sets}
         self.sets = []
         for key, name, wanted_devices in sets:
-            own = groups.get(key) or Entry(f"s{next(self._numbers)}", {})
+            own = groups.get(key) or BenchSet(f"s{next(self._numbers)}", {})
             own.content["name"], own.devices = name, []
             for device_key, device_name, files in wanted_devices:
-                device = known.get(device_key) or Entry(f"d{next(self._numbers)}", {})
+                device = known.get(device_key) or BenchDevice(f"d{next(self._numbers)}", {})
                 device.content["name"], device.files = device_name, files
                 own.devices += [device] if files else []
             self.sets += [own] if own.devices else []
-        self.write()
-
-    def _check_arrangement(self, sets: list[tuple[str, list[tuple[Any, str, list[str]]]]]) -> None:
-        """Refuse an arrangement that no manifest could hold, before anything of it is taken."""
-        for set_name, devices in sets:
-            names = [name for _, name, files in devices if files]
-            twice = next((name for name in names if names.count(name) > 1), None)
-            if twice:
-                raise CampaignError(f"two devices of the set '{set_name}' are called '{twice}'; rename one of them")
-        if len({name for name, _ in sets}) < len(sets):
-            raise CampaignError("two sets have the same name; rename one of them")
-        used = [key for _, devices in sets for *_, files in devices for key in files]
-        for key in used:
-            self.file(key)
-        if len(set(used)) < len(used):
-            raise CampaignError("a file belongs to one device alone")
-
-    def describe_set(self, key: str, said: Mapping[str, Any]) -> None:
-        """Set what is known of a set: its connection as tested, and a note."""
-        own = self.group(key)
-        connection = {}
-        for name, value in dict(said.get("connection") or {}).items():
-            if name not in CONNECTION:
-                raise CampaignError(f"a connection has no {shown(name, 30)}; known are {', '.join(CONNECTION)}")
-            if value in ("", None):
-                continue
-            try:
-                connection[name] = CONNECTION[name](value)
-            except (TypeError, ValueError) as error:
-                raise CampaignError(f"{name} = {shown(value)} is no number") from error
-        _put(own.content, "connection", connection)
-        _put(own.content, "note", _note(said.get("note")))
-        self.write()
-
-    def describe_device(self, key: str, said: Mapping[str, Any]) -> None:
-        """Set what is known of a device: options of its fit, and a note."""
-        _, device = self.device(key)
-        if "options" in said:
-            kept = {n: v for n, v in device.content.get("options", {}).items() if n not in CHOSEN}
-            _put(device.content, "options", kept | _plain_options(said["options"], CHOSEN))
-            device.content.pop("runs", None)
-        if "note" in said:
-            _put(device.content, "note", _note(said["note"]))
         self.write()
 
     def write(self) -> None:
@@ -322,19 +240,102 @@ class Session:
         if not self.sets:
             (self.folder / MANIFEST).unlink(missing_ok=True)
             return
+
+        def written(device: BenchDevice) -> list[str]:
+            """Paths below the folder, with forward slashes; others as they are."""
+            paths = [self.files[key] for key in device.files]
+            return [str(p.relative_to(self.folder).as_posix() if p.is_relative_to(self.folder) else p) for p in paths]
+
         tables = [
-            group.content
-            | {"device": [device.content | {"recordings": self._paths(device)} for device in group.devices]}
+            group.content | {"device": [one.content | {"recordings": written(one)} for one in group.devices]}
             for group in self.sets
         ]
         write_text(self.folder / MANIFEST, HEAD + tomlkit.dumps({**self.top, "set": tables}))
 
-    def _paths(self, device: Entry) -> list[str]:
-        """Paths of a device's recordings as a manifest writes them: below its folder, with forward slashes."""
-        return [
-            path.relative_to(self.folder).as_posix() if path.is_relative_to(self.folder) else str(path)
-            for path in map(self.files.__getitem__, device.files)
-        ]
+
+def reading_of(session: Session, key: str) -> dict[str, Any]:
+    """Options with which a file is read: those of the device that it belongs to."""
+    for group, device in session.devices:
+        if key in device.files:
+            given = {**session.top.get("defaults", {}), **group.content.get("options", {})}
+            given |= device.content.get("options", {})
+            given |= {"runs": device.content["runs"]} if "runs" in device.content else {}
+            return {name: value for name, value in given.items() if name in READING}
+    return {}
+
+
+def place_for(session: Session, name: str) -> Path:
+    """Give the path for a file that comes in under a name, which is used as a name alone."""
+    if len(session.files) >= MOST_FILES:
+        raise CampaignError(f"{MOST_FILES} files are in this folder already; begin another one")
+    base = _UNSAFE.sub("_", plain_text(name.replace("\\", "/").rpartition("/")[2])).strip(" .")[-MOST_NAME:]
+    stem, dot, endings = (base or "recording").partition(".")
+    folder = session.folder / RECORDINGS
+    folder.mkdir(parents=True, exist_ok=True)
+    tries = (f"{stem or 'recording'}{f'-{n}' if n else ''}{dot}{endings}" for n in count())
+    return next(folder / one for one in tries if not (folder / one).exists())
+
+
+def same_as(session: Session, path: Path) -> str | None:
+    """Find a file of the folder with the same content, by its id."""
+    size, digest = path.stat().st_size, file_digest(path)
+    for key, one in session.files.items():
+        if one != path and one.is_file() and one.stat().st_size == size and file_digest(one) == digest:
+            return key
+    return None
+
+
+def bring(session: Session, manifest: Path) -> None:
+    """Copy the recordings of a manifest that ships with the program, with its sets and devices."""
+
+    def copied(name: str) -> Path:
+        target = place_for(session, name)
+        shutil.copyfile(manifest.parent / name, target)
+        return target
+
+    tables, taken = tomllib.loads(manifest.read_text(encoding="utf-8"))["set"], {one.name for one in session.sets}
+    for table in tables:
+        table["name"] = _free_name(table["name"], taken)
+        taken.add(table["name"])
+    session.take(tables, copied)
+    session.write()
+
+
+def history_in(folder: Path) -> Path | None:
+    """Find the history of displacement that was dropped in; None where there is none."""
+    return next(iter(sorted((folder / "bench").glob("history.*"))), None)
+
+
+def place_for_history(folder: Path, name: str) -> Path:
+    """Give the path for a history, in the place of the one before; its name tells its format alone."""
+    if before := history_in(folder):
+        before.unlink()
+    ending = _ENDING.search(name)
+    return folder / "bench" / f"history{ending[0] if ending else '.csv'}"
+
+
+def _forms(folder: Path) -> dict[str, dict[str, Any]]:
+    """Read the options that were chosen for each form of file."""
+    memory = read_json(folder / MEMORY, CampaignError) if (folder / MEMORY).is_file() else {}
+    forms = (memory.get("forms") if isinstance(memory, dict) else None) or {}
+    tables = {str(form): chosen if isinstance(chosen, dict) else {} for form, chosen in forms.items()}
+    return {form: {name: value for name, value in own.items() if name in READING} for form, own in tables.items()}
+
+
+def _check(sets: list[tuple[str, list[tuple[Any, str, list[str]]]]], known: Mapping[str, Path]) -> None:
+    """Refuse an arrangement that no manifest could hold, before anything of it is taken."""
+    for set_name, devices in sets:
+        names = [name for _, name, files in devices if files]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice:
+            raise CampaignError(f"two devices of the set '{set_name}' are called '{twice}'; rename one of them")
+    if len({name for name, _ in sets}) < len(sets):
+        raise CampaignError("two sets have the same name; rename one of them")
+    used = [key for _, devices in sets for *_, files in devices for key in files]
+    for key in used:
+        _here(known.get(key), "file", key)
+    if len(set(used)) < len(used):
+        raise CampaignError("a file belongs to one device alone")
 
 
 def _here(found: Found | None, what: str, key: str) -> Found:
