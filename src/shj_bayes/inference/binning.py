@@ -187,8 +187,8 @@ class BinnedRun:
         return int(self.force_kN.size)
 
     def mean(self, values: FloatArray) -> FloatArray:
-        """Mean over each block of values at the points, shape (n_points, ...) to (n, ...)."""
-        return np.asarray((np.add.reduceat(values, self.first[:-1], axis=0).T / np.diff(self.first)).T)
+        """Mean over each block, shape (n,), of values at the points, shape (n_points,)."""
+        return np.asarray(np.add.reduceat(values, self.first[:-1]) / np.diff(self.first))
 
     def force(self, model: DeviceModel, theta: FloatArray) -> FloatArray:
         """Modelled force at the points for parameter sets in natural units, shape (m, d) to (m, n_points), kN."""
@@ -235,9 +235,12 @@ class Blocks(tuple[BinnedRun, ...]):
 
     def mean(self, values: Sequence[FloatArray]) -> FloatArray:
         """Means of functions at the points of each run, shapes (n_points, ...) to (n, ...); 0 without evidence."""
-        means = np.concatenate([part.mean(own) for part, own in zip(self, values, strict=True)])
-        means[self.used == 0] = 0.0
-        return means
+        out = []
+        for part, own in zip(self, values, strict=True):
+            residual, _ = part.residual_and_slope(np.ascontiguousarray(np.atleast_2d(own.T)))
+            out.append(np.where(part.count > 0, part.force_kN - residual, 0.0).T)
+        means = np.concatenate(out)
+        return means if values[0].ndim > 1 else means[:, 0]
 
     def channel(self, name: str) -> FloatArray:
         """Channel of the histories, shape (n,)."""
