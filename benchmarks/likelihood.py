@@ -38,7 +38,7 @@ def main() -> None:
             prepared = time.thread_time() - begin
             whole = posterior.refined(start.free, longest_s=0.0)
             spread = np.random.default_rng(1).multivariate_normal(start.free, start.covariance, N_SETS)
-            theta = posterior.model.natural(spread)
+            theta = posterior.model.laws.natural(spread)
             own = best(lambda p=posterior, t=theta: p.log_likelihood(t), 20) / N_SETS  # type: ignore[misc]
             every = best(lambda p=whole, t=theta: p.log_likelihood(t), 3) / N_SETS  # type: ignore[misc]
             first = first or own

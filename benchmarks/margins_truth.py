@@ -285,7 +285,7 @@ def _laplace(
     tops[effects] = top[: model.n_law]
     rng = np.random.default_rng(seed)
     root = np.linalg.cholesky(spread + 1e-12 * np.eye(top.size))
-    return Belief(model, model.natural(top + rng.standard_normal((N_LAPLACE, top.size)) @ root.T))
+    return Belief(model, model.laws.natural(top + rng.standard_normal((N_LAPLACE, top.size)) @ root.T))
 
 
 def limits(state: Line, chosen: list[int]) -> dict[str, float]:

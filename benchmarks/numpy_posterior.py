@@ -125,7 +125,7 @@ class NumpyPosterior:
             return -math.inf
         row = np.asarray(z, dtype=np.float64)[None]
         with np.errstate(all="ignore"):
-            value = self.log_likelihood(self.model.natural(row)[0]) + float(self.model.log_prior(row)[0])
+            value = self.log_likelihood(self.model.laws.natural(row)[0]) + float(self.model.laws.log_density(row)[0])
         return value if math.isfinite(value) else -math.inf
 
     def log_posterior_free(self, z: FloatArray) -> FloatArray:

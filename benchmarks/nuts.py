@@ -137,7 +137,7 @@ def same_density(whole: Likelihood, theta: np.ndarray[Any, Any], dense: bool) ->
         log_density(model, (whole, dense), {}, dict(zip(whole.model.names, row, strict=True)))[0]
         for row in theta.tolist()
     ]
-    laws = whole.model.laws_of_parameters
+    laws = whole.model.laws
     prior = np.sum([law.distribution.logpdf(theta[:, i]) for i, law in enumerate(laws)], axis=0)
     return float(np.ptp(np.asarray(theirs) - whole.log_likelihood(theta) - prior))
 
@@ -153,7 +153,7 @@ def main() -> int:
     ours = fit(make_runs(asked.seed), DeviceModel(2, read_priors("afc")), plan=SamplingPlan(seed=asked.seed))
     posterior = ours.posterior
     draws = np.stack([ours.data["posterior"][name].to_numpy().ravel() for name in posterior.model.names], axis=1)
-    middle = posterior.model.unbounded(draws.mean(axis=0)[None])[0]
+    middle = posterior.model.laws.unbounded(draws.mean(axis=0)[None])[0]
     whole = posterior.refined(middle, longest_s=0.0).with_noise_at_rest(0.0)
     some = draws[:: draws.shape[0] // 20]
     apart, exact = same_density(whole, some, dense=False), same_density(whole, some, dense=True)
@@ -173,7 +173,7 @@ def main() -> int:
     diverging = int(np.sum(sampler.get_extra_fields().get("diverging", np.zeros(1))))
     good = apart < 1e-6 and exact < LEFT_OUT
     print(f"{'':12}{'our mean':>12}{'NUTS mean':>12}{'apart, sd':>11}{'our sd':>11}{'NUTS sd':>11}{'ratio':>8}")
-    unbounded = (posterior.model.unbounded(draws), posterior.model.unbounded(theirs))
+    unbounded = (posterior.model.laws.unbounded(draws), posterior.model.laws.unbounded(theirs))
     for i, name in enumerate(posterior.model.names):
         own, other = (z[:, i] for z in unbounded)
         shift, ratio = (own.mean() - other.mean()) / other.std(), own.std() / other.std()

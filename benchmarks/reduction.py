@@ -52,10 +52,9 @@ def main() -> int:
                 chosen = np.take_along_axis(draws, evenly_spread(weights)[:, :, None], axis=1)
                 whole = posterior.refined(start.free, longest_s=0.0)
                 right = sampled(whole, polish(whole, [start.free]))
-                law = [posterior.model.index(name) for name in NAMES]
-                before, after, right = (
-                    posterior.model.natural(some.reshape(-1, some.shape[-1]))[:, law] for some in (draws, chosen, right)
-                )
+                law = [posterior.model.names.index(name) for name in NAMES]
+                flat = (some.reshape(-1, some.shape[-1]) for some in (draws, chosen, right))
+                before, after, right = (posterior.model.laws.natural(some)[:, law] for some in flat)
                 shifts = [(some.mean(axis=0) - right.mean(axis=0)) / right.std(axis=0) for some in (before, after)]
                 ratio = after.std(axis=0) / right.std(axis=0)
                 worst = np.maximum(worst, [np.sqrt(np.mean(shifts[1] ** 2)), np.abs(ratio - 1).max()])

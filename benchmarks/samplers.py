@@ -164,7 +164,7 @@ def transitional(first: Likelihood, posterior: NumpyPosterior, _start: Start) ->
     rng = np.random.default_rng(1)
     n, d = 1000, len(first.model.names)
     z = rng.standard_normal((n, d))  # the prior, in the unbounded space
-    low = first.model.log_prior(z)
+    low = first.model.laws.log_density(z)
     height = posterior.log_posterior_free(z) - low
     power, stages = 0.0, 0
     while power < 1.0:
@@ -183,7 +183,7 @@ def transitional(first: Likelihood, posterior: NumpyPosterior, _start: Start) ->
         z, height, low = z[index], height[index], low[index]
         for _ in range(10 if power < 1.0 else 25):
             trial = z + 0.8 * 2.38 / np.sqrt(d) * rng.standard_normal((n, d)) @ root.T
-            trial_low = first.model.log_prior(trial)
+            trial_low = first.model.laws.log_density(trial)
             trial_height = posterior.log_posterior_free(trial) - trial_low
             better = np.log(rng.random(n)) < power * (trial_height - height) + trial_low - low
             z[better], height[better], low[better] = trial[better], trial_height[better], trial_low[better]
@@ -198,7 +198,7 @@ def no_u_turn(first: Likelihood, posterior: NumpyPosterior, start: Start) -> Dra
     np_: Any = importlib.import_module("jax.numpy")
     own: Any = importlib.import_module("nuts")
     root = np.linalg.cholesky(start.covariance)
-    prior = first.model.laws_of_parameters
+    prior = first.model.laws
 
     def natural(z: Any) -> Any:
         out = []

@@ -83,7 +83,7 @@ def vector_of(posterior: Likelihood, truth: Truth = TRUTH) -> np.ndarray:
     # Where there is no slow part its size is a small one: a scale of 0 has no logarithm.
     noise = {"sigma_white": truth.sigma, "sigma_slow": max(truth.sigma_slow, 1e-3), "tau_slow": truth.tau_slow}
     values = []
-    for name, prior in zip(posterior.model.names, posterior.model.laws_of_parameters, strict=True):
+    for name, prior in zip(posterior.model.names, posterior.model.laws, strict=True):
         base, run = (name, 1) if "." in name else base_and_run(name)
         value = noise.get(base, getattr(truth, base, None))
         if base == "ratio":

@@ -10,7 +10,7 @@ from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
 from shj_bayes.inference.start import find_start
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.device import DeviceModel, meaning_of
 from shj_bayes.model.filter import Timing, log_density, simulate
 from shj_bayes.model.law import BETA_RANGE, VARIANTS, force_of_laws
 from shj_bayes.model.noise import noise
@@ -100,7 +100,7 @@ class TestLaw:
 
     def test_fits_its_own_recording(self, variant: str, make_small: Callable[..., Likelihood]) -> None:
         posterior, start = find_start(make_small(variant=variant))
-        values = dict(zip(posterior.model.names, posterior.model.natural(start.free[None])[0], strict=True))
+        values = dict(zip(posterior.model.names, posterior.model.laws.natural(start.free[None])[0], strict=True))
         assert values["Fy"] == pytest.approx(80.0, rel=0.05)
         assert values["ratio"] == pytest.approx(0.8, rel=0.05)
 
@@ -186,7 +186,7 @@ class TestNoise:
     def test_parameters_are_described_and_have_priors(self, model: str) -> None:
         for family in ("afc", "general"):
             device = DeviceModel(3, read_priors(family), noise=noise_model(model), free=SHAREABLE)
-            for parameter, prior in zip(device.parameters, device.laws_of_parameters, strict=True):
+            for parameter, prior in zip(map(meaning_of, device.names), device.laws, strict=True):
                 assert parameter.unit in UNITS, parameter
                 assert parameter.meaning
                 assert prior.unit == parameter.unit
@@ -216,7 +216,7 @@ def test_a_noise_model_brings_its_own_parameter(
         request.addfinalizer(names.cache_clear)
     device = DeviceModel(2, read_priors("afc"), noise=model)
     posterior, start = find_start(make_likelihood(small_device.runs, device))
-    values = dict(zip(posterior.model.names, posterior.model.natural(start.free[None])[0], strict=True))
+    values = dict(zip(posterior.model.names, posterior.model.laws.natural(start.free[None])[0], strict=True))
     assert values["sigma"] == pytest.approx(1.0, rel=0.3)  # the root of 0.8^2 + 0.6^2
     assert diagnose(small_device.runs, device, DiagnoseOptions(quick=True)).content["verdict"] == "adequate"
 

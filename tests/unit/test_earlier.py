@@ -35,7 +35,7 @@ def test_laws_have_the_quantiles_of_the_earlier_posterior():
         family.of(name) for name in ("beta", "sigma_white")
     ]
     assert priors.sha256 != family.sha256
-    assert DeviceModel(2, priors).laws_of_parameters
+    assert DeviceModel(2, priors).laws
     assert "device d" in priors.family
 
 

@@ -33,9 +33,9 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Two runs of a device with a clearance of 3 mm."""
     time, motion = exact_motion(BLOCKS, RATE_HZ)
     device = DeviceModel(2, read_priors(), effects=effects_named(["slack"]))
-    theta = device.natural(np.zeros((1, len(device.names))))
+    theta = device.laws.natural(np.zeros((1, len(device.names))))
     for name, value in (LAW | SLACK).items():
-        theta[0, device.index(name)] = value
+        theta[0, device.names.index(name)] = value
     folder, rng = tmp_path_factory.mktemp("runs"), np.random.default_rng(1)
     paths = []
     for history in histories([time, time], [motion, motion]):

@@ -79,7 +79,7 @@ class WithJacobian:
         step = 1e-5
         slopes = [
             (prior.from_free(z[:, i] + step) - prior.from_free(z[:, i] - step)) / (2 * step)
-            for i, prior in enumerate(self.posterior.model.laws_of_parameters)
+            for i, prior in enumerate(self.posterior.model.laws)
         ]
         with np.errstate(divide="ignore", invalid="ignore"):
             extra = np.log(np.abs(slopes)).sum(axis=0)
@@ -130,7 +130,7 @@ def draw(
         plan = SamplingPlan(seed=int(rng.integers(2**31)), max_steps=max_steps, threads=1)
         states, figures = run_ensembles(density, posterior.model.names, start, plan)
         chains = np.stack([state.chain[figures.n_burn :] for state in states])
-        theta = posterior.model.natural(chains.reshape(-1, len(posterior.model.names)))
+        theta = posterior.model.laws.natural(chains.reshape(-1, len(posterior.model.names)))
         draws = {name: row for name, row in zip(posterior.model.names, theta.T, strict=True) if name in values}
     except ShjError as error:
         return record | {"error": str(error), "seconds": time.perf_counter() - begin}

@@ -90,7 +90,7 @@ def draw_noise(number: int, seed: int, *, effects: bool, max_steps: int) -> dict
     except ShjError as error:
         return record | {"error": str(error), "seconds": time.perf_counter() - begin}
     z, below = {}, {}
-    for name, prior in zip(model.law_names, model.laws_of_parameters, strict=False):
+    for name, prior in zip(model.law_names, model.laws, strict=False):
         draws = np.asarray(result.data["posterior"][name]).ravel()
         free, true = prior.to_free(draws), float(prior.to_free(np.asarray(values[name])))
         z[name], below[name] = float((free.mean() - true) / free.std()), float(np.mean(draws < values[name]))
@@ -102,7 +102,7 @@ def _truth(model: DeviceModel, rng: np.random.Generator) -> dict[str, float]:
     """Draw from the priors until the device slides over a part of its stroke."""
     while True:
         z = rng.standard_normal(len(model.names))
-        values = dict(zip(model.names, model.natural(z[None])[0].tolist(), strict=True))
+        values = dict(zip(model.names, model.laws.natural(z[None])[0].tolist(), strict=True))
         stroke = 2 * max(block.amplitude_mm for block in SHORT)
         loads = [values["Fy"] * values[n] for n in model.names if n.startswith("ratio")] + [values["Fy"]]
         if 2 * max(loads) / values["K"] < (1 - LEAST_SLIDING) * stroke:

@@ -331,8 +331,9 @@ def examine() -> tuple[dict[str, Any], str]:
     runs = runs_of(simulate_device(TRUTH, seed=1, rate_Hz=20.0))
     posterior, start = find_start(make_likelihood(runs, DeviceModel(len(runs), read_priors())))
     first = time.perf_counter() - begin
-    theta = posterior.model.natural(start.free[None])[0]
-    error = {name: abs(theta[posterior.model.index(name)] / getattr(TRUTH, name) - 1) for name in ("K", "Fy", "gamma")}
+    theta = posterior.model.laws.natural(start.free[None])[0]
+    found = dict(zip(posterior.model.names, theta, strict=True))
+    error = {name: abs(found[name] / getattr(TRUTH, name) - 1) for name in ("K", "Fy", "gamma")}
     works = bool(max(error.values()) < 0.05)
     batch = np.repeat(theta[None], 16, axis=0)
     seconds = min(timeit.repeat(lambda: posterior.log_likelihood(batch), number=1, repeat=20))

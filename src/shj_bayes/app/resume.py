@@ -230,7 +230,7 @@ def priors_of(options: FitOptions) -> Priors:
 
 def check_priors(options: FitOptions, n_runs: int) -> None:
     """Refuse priors that cannot be read, or that lack a law that a device of so many runs needs."""
-    assert options.device_model(n_runs, priors_of(options)).laws_of_parameters
+    assert options.device_model(n_runs, priors_of(options)).laws
 
 
 def earlier(where: str) -> Earlier:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from shj_bayes.errors import InferenceError
 from shj_bayes.model.device import UNLOADED, DeviceModel
 from shj_bayes.model.filter import Timing
-from shj_bayes.model.history import History, Measured, histories, measured_in
+from shj_bayes.model.history import History, Measured, histories, measured_in, thinned
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import NEAR, IntArray, Motion, degree_for, motion_of
 from shj_bayes.recording.recording import Recording
@@ -284,8 +284,8 @@ def _bends(runs: Sequence[Run], whole: Sequence[History], force_at: Force) -> li
         x, start = run.motion.displacement_mm, run.motion.start
         keep = np.empty(x.size, dtype=np.int64)
         keep = keep[: _spaced(keep, x, run.motion.turning_mm, start, float(np.ptp(x)) / FINEST)]
-        thinned = history.thinned(keep)
-        force, place = force_at(thinned, run.start_force_kN), thinned.motion.start
+        fewer = thinned(history, keep)
+        force, place = force_at(fewer, run.start_force_kN), fewer.motion.start
         along = np.empty(keep.size)
         _bend_along(along, force, x[keep], place)
         totals.append(along[place[1:] - 1])

@@ -300,7 +300,7 @@ def _scores(posterior: Likelihood, start: Start) -> FloatArray:
     """Give the derivatives of each half-cycle's log likelihood after the unbounded parameters, shape (n_half, d)."""
     width = STEP * np.sqrt(np.diag(start.covariance))
     points = np.concatenate([start.free + np.diag(width), start.free - np.diag(width)])
-    value = posterior.log_likelihood_by_half_cycle(posterior.model.natural(points))
+    value = posterior.log_likelihood_by_half_cycle(posterior.model.laws.natural(points))
     above, below = np.split(value, 2)
     return np.asarray(((above - below) / (2.0 * width[:, None])).T)
 
@@ -308,11 +308,11 @@ def _scores(posterior: Likelihood, start: Start) -> FloatArray:
 def _information(posterior: Likelihood, start: Start) -> FloatArray:
     """Give what each half-cycle is expected to tell of the parameters of the law, shape (n_half, n_law, n_law)."""
     model, out = posterior.model, []
-    theta = posterior.model.natural(start.free[None])
+    theta = posterior.model.laws.natural(start.free[None])
     noise = {name: float(values[0]) for name, values in model.noise_values(theta).items()}
     width = STEP * np.sqrt(np.diag(start.covariance))[: model.n_law]
     moves = np.eye(start.free.size)[: model.n_law] * width[:, None]
-    around = posterior.model.natural(np.concatenate([start.free + moves, start.free - moves]))
+    around = posterior.model.laws.natural(np.concatenate([start.free + moves, start.free - moves]))
     for part in posterior.blocks:
         above, below = np.split(part.residual_and_slope(part.force(model, around))[0], 2)
         slope = part.residual_and_slope(part.force(model, theta))[1][0]

@@ -129,7 +129,7 @@ def fit(
         figures = replace(figures, ess_bulk=worth * figures.ess_bulk, ess_tail=worth * figures.ess_tail)
     verdict = with_widening(converged, widening, tail)
     shown = widening.spread(kept, kept.reshape(-1, kept.shape[-1]).mean(axis=0))
-    natural = posterior.model.natural(shown)
+    natural = posterior.model.laws.natural(shown)
     table = store.summary(posterior.model, figures, natural)
     groups = store.groups_of(posterior, shown, kept, heights, plan.seed, LIBRARY)
     record = store.fit_record(
@@ -203,7 +203,7 @@ def weights_of_all_samples(
 def _whitened(posterior: Likelihood, start: Start) -> FloatArray:
     """Give the residual at the top, in units of what its noise lets expect, shape (n,)."""
     model = posterior.model
-    theta = model.natural(start.free[None])
+    theta = model.laws.natural(start.free[None])
     values = {name: float(value[0]) for name, value in model.noise_values(theta).items()}
     held = [(*part.residual_and_slope(part.force(model, theta)), part.timing) for part in posterior.blocks]
     pairs = [whiten(model.noise, values, rest.T, slope[0], timing) for rest, slope, timing in held]

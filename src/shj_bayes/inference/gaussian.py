@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from shj_bayes.model.parameters import FloatArray
@@ -49,22 +49,22 @@ class Gaussian:
         return np.eye(self.along.size) + self.inner
 
     @cached_property
-    def _root(self) -> tuple[FloatArray, bool]:
-        factor, lower = cho_factor(self.precision, lower=True, check_finite=False)
-        return factor, bool(lower)
+    def root(self) -> FloatArray:
+        """Cholesky factor of the precision in the lower triangle, shape (p, p); the other one holds anything."""
+        return np.asarray(cho_factor(self.precision, lower=True, check_finite=False)[0])
 
     def solve(self, columns: FloatArray) -> FloatArray:
         """Give ``covariance @ columns``; `numpy.linalg.LinAlgError` where rounding leaves no positive precision."""
-        return np.asarray(cho_solve(self._root, columns, check_finite=False), dtype=np.float64)
+        return np.asarray(cho_solve((self.root, True), columns, check_finite=False), dtype=np.float64)
 
     def whitened(self, columns: FloatArray) -> FloatArray:
         """Give columns whose products with one another are those of `columns` in the covariance."""
-        return np.asarray(solve_triangular(self._root[0], columns, lower=True, check_finite=False), dtype=np.float64)
+        return np.asarray(solve_triangular(self.root, columns, lower=True, check_finite=False), dtype=np.float64)
 
     @cached_property
     def half_log_det(self) -> float:
         """Half the log determinant of the precision."""
-        return float(np.log(np.diag(self._root[0])).sum())
+        return float(np.log(np.diag(self.root)).sum())
 
     @cached_property
     def mean(self) -> FloatArray:
@@ -91,24 +91,9 @@ class Gaussian:
         root = np.broadcast_to(np.asarray(sizes, dtype=np.float64), self.along.shape)
         return Gaussian(self.square, self.along * root, self.inner * np.outer(root, root), self.constant)
 
-    def some(self, columns: NDArray[np.int64] | slice) -> Gaussian:
-        """Give the same with some of the columns alone."""
-        return Gaussian(self.square, self.along[columns], self.inner[columns][:, columns], self.constant)
-
-    def informed(self, columns: FloatArray) -> Gaussian:
-        """Give the same with further data that its mean foretold, of such columns, shape (n, p)."""
-        seen = columns @ self.mean
-        along = self.along + columns.T @ seen
-        return Gaussian(self.square + float(seen @ seen), along, self.inner + columns.T @ columns, self.constant)
-
-    def draw(self, n: int, rng: np.random.Generator) -> FloatArray:
-        """Draw coefficients, each less its mean, shape (p, n)."""
-        standard = rng.standard_normal((self.along.size, n))
-        return np.asarray(solve_triangular(self._root[0], standard, lower=True, trans="T", check_finite=False))
-
     def given(self, d: int) -> Gaussian:
         """Give what is left to the columns behind the first `d` once the coefficients of these are integrated out."""
-        first = self.some(slice(d))
+        first = Gaussian(self.square, self.along[:d], self.inner[:d, :d], self.constant)
         cross = self.inner[:d, d:]
         solved = first.solve(cross)
         return Gaussian(

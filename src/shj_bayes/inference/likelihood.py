@@ -16,7 +16,7 @@ import numpy as np
 import shj_bayes
 from shj_bayes.errors import InferenceError, PriorError
 from shj_bayes.inference.binning import Blocks, Run, histories_of, reduce_runs
-from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.device import DeviceModel, linear_in, slopes_of
 from shj_bayes.model.filter import LANES, log_density, sd_over_speed, slowness
 from shj_bayes.model.history import History
 from shj_bayes.model.parameters import FloatArray, base_of
@@ -81,7 +81,7 @@ class Likelihood:
 
         It is unbounded, near the data, of the law at least; for the other arguments see `reduce_runs`.
         """
-        still = self.model.natural_of_law(z[None])
+        still = self.model.laws.natural(z[None])
         if self.model.speed:  # the speed is noisy, and its share of the force is straight
             still[0, [base_of(name) == "gamma" for name in self.model.names]] = 0.0
 
@@ -104,7 +104,7 @@ class Likelihood:
 
         For unbounded parameters, of the law at least, shape (m, n_law) to (m, n).
         """
-        theta = self.model.natural_of_law(z)
+        theta = self.model.laws.natural(z)
         pairs = [part.residual_and_slope(part.force(self.model, theta)) for part in self.blocks]
         return np.concatenate([a for a, _ in pairs], axis=1), np.concatenate([b for _, b in pairs], axis=1)
 
@@ -114,10 +114,10 @@ class Likelihood:
 
     def jacobian(self, z: FloatArray, residual: FloatArray) -> FloatArray:
         """Give the derivatives of the force after the unbounded parameters of the law, shape (n, n_law)."""
-        out, linear = np.empty((residual.size, z.size)), self.model.linear
+        out, linear = np.empty((residual.size, z.size)), linear_in(self.model)
         if linear.size:
-            theta = self.model.natural_of_law(z[None])[0]
-            slopes = [self.model.slopes(theta, part.history, part.run.start_force_kN) for part in self.blocks]
+            theta = self.model.laws.natural(z[None])[0]
+            slopes = [slopes_of(self.model, theta, part.history, part.run.start_force_kN) for part in self.blocks]
             out[:, linear] = self.blocks.mean(slopes)
         steps = np.delete(STEP * np.eye(z.size), linear, axis=0)
         out[:, np.delete(np.arange(z.size), linear)] = (residual - self.residual(z + steps)).T / STEP
@@ -150,9 +150,9 @@ class Likelihood:
         inside = np.all(np.abs(z) < FREE_LIMIT, axis=1)
         if not inside.any():
             return out
-        theta = self.model.natural(z[inside])
+        theta = self.model.laws.natural(z[inside])
         with np.errstate(over="ignore", invalid="ignore"):
-            value = self.log_likelihood(theta) + self.model.log_prior(z[inside])
+            value = self.log_likelihood(theta) + self.model.laws.log_density(z[inside])
         if np.isnan(value).any():
             if self.model.effects:  # far out in the prior an effect may leave no force at all
                 value = np.where(np.isnan(value), -np.inf, value)
@@ -173,7 +173,7 @@ class Likelihood:
             further = (extra.values for extra in r.extras)
             for array in (*channels, m.direction, m.unsure, m.noise_mm, *further):
                 digest.update(np.ascontiguousarray(array).tobytes())
-        laws = [[p.name, p.law, p.a, p.b] for p in self.model.laws_of_parameters]
+        laws = [[p.name, p.law, p.a, p.b] for p in self.model.laws]
         return {
             "recordings": digest.hexdigest(),
             "version": shj_bayes.__version__,

@@ -8,6 +8,7 @@ from numba import njit
 from shj_bayes.inference.binning import BinnedRun, Run
 from shj_bayes.inference.likelihood import Likelihood, variance_over_speed
 from shj_bayes.model.filter import Timing, density_and_zero, table_of
+from shj_bayes.model.history import thinned
 from shj_bayes.model.noise.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import IntArray
@@ -33,7 +34,7 @@ def force_at_points(
     clean, noise = [], []
     for run, course, keep in zip(posterior.runs, posterior.histories, points, strict=True):
         recording = run.recording
-        history = course if keep.size == recording.n_samples else course.thinned(keep)
+        history = course if keep.size == recording.n_samples else thinned(course, keep)
         clean.append(model.force(theta, history, run.start_force_kN))
         step, anew = 1.0 / recording.rate_Hz, np.diff(np.cumsum(recording.restarts)[keep]) > 0
         gap = np.where(anew, np.inf, np.round(np.diff(recording.time_s[keep]) / step, 3) * step)

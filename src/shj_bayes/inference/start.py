@@ -22,7 +22,7 @@ N_STARTS = 5
 
 def law_residuals(posterior: Likelihood, z: FloatArray) -> FloatArray:
     """Residual of all blocks beside a constant of each run, for parameters of the law, (m, n_law) to (m, n), kN."""
-    theta, out = posterior.model.natural_of_law(z), []
+    theta, out = posterior.model.laws.natural(z), []
     for part in posterior.blocks:
         own = part.residual_and_slope(part.force(posterior.model, theta))[0]
         share = part.count / max(float(part.count.sum()), 1.0)
@@ -203,7 +203,7 @@ def started(posterior: Likelihood, z: FloatArray) -> Likelihood:
     They are unbounded, shape (n_law,). What is read there has noise, and the part of the speed in it. What is left of
     its error is small, so that it acts like one of the first turning point.
     """
-    theta = posterior.model.natural_of_law(z[None])
+    theta = posterior.model.laws.natural(z[None])
     parts = (_started(part, posterior.model, theta) if part.run.start_noise_kN else part for part in posterior.blocks)
     return replace(posterior, blocks=Blocks(parts))
 
@@ -284,7 +284,7 @@ def _grid(posterior: Likelihood) -> FloatArray:
         for name in names:
             base, run = base_and_run(name)
             row.append(peak[run - 1] / peak[0] if base == "ratio" else values[base])
-        rows.append([float(p.to_free(np.asarray(v))) for p, v in zip(model.laws_of_parameters, row, strict=False)])
+        rows.append([float(p.to_free(np.asarray(v))) for p, v in zip(model.laws, row, strict=False)])
     return np.array(rows)
 
 
@@ -293,7 +293,7 @@ def _best_noise(posterior: Likelihood, z: FloatArray) -> FloatArray:
     model = posterior.model
     size = max(float(np.std(law_residual(posterior, z))), 1e-9)
     grids = []
-    for own, law in zip(model.noise.own, model.laws_of_parameters[model.n_law :], strict=True):
+    for own, law in zip(model.noise.own, model.laws[model.n_law :], strict=True):
         values = np.array(own.in_fit) * (size if own.unit == "kN" else 1.0) if own.in_fit else law.quantile(QUARTILES)
         grids.append([float(law.to_free(value)) for value in values])
     rows = np.array(list(product(*grids)))
@@ -307,11 +307,11 @@ def _with_best_noise_at_rest(posterior: Likelihood, z: FloatArray) -> tuple[Like
     The widths of the law's parameters depend on it in the second order only, so it is not sampled (decision 0010).
     """
     model = posterior.model
-    law = model.natural(z[None])
+    law = model.laws.natural(z[None])
     held = [part.residual_and_slope(part.force(model, law)) for part in posterior.blocks]
 
     def negative(u: FloatArray) -> float:
-        noise = model.noise_values(model.natural(np.append(z[: model.n_law], u[:-1])[None]))
+        noise = model.noise_values(model.laws.natural(np.append(z[: model.n_law], u[:-1])[None]))
         parts = zip(held, posterior.with_noise_at_rest(AT_REST_SD * float(u[-1])).blocks, strict=True)
         likely = [log_density(model.noise, noise, *pair, part.timing).sum() for pair, part in parts]
         return 0.5 * float(u @ u) - float(np.sum(likely))

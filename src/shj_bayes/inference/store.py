@@ -23,7 +23,7 @@ from shj_bayes._util.files import file_digest, replacing, reserve, write_text
 from shj_bayes.inference.binning import Run, measured_of
 from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of, zero_of_run
-from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.device import DeviceModel, meaning_of
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.codec import from_json, to_json
 from shj_bayes.results.device import EXTRA
@@ -61,7 +61,7 @@ def remarks_of(model: DeviceModel, chains: FloatArray) -> tuple[RemarkRecord, ..
     """
     flat = chains.reshape(-1, chains.shape[-1])
     out = []
-    for i, (name, law) in enumerate(zip(model.law_names, model.laws_of_parameters, strict=False)):
+    for i, (name, law) in enumerate(zip(model.law_names, model.laws, strict=False)):
         if not model.predicted[i]:
             continue
         place = law.to_free(flat[:, i])  # standard normal, were there no data
@@ -119,9 +119,9 @@ def groups_of(
     predictive draws have a stream of their own.
     """
     some = np.linspace(0, shown.shape[1] - 1, min(N_STORED, shown.shape[1])).astype(int)
-    draws, own = (posterior.model.natural(chains[:, some]) for chains in (shown, sampled))
+    draws, own = (posterior.model.laws.natural(chains[:, some]) for chains in (shown, sampled))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
-    laws = posterior.model.laws_of_parameters
+    laws = posterior.model.laws
     prior = np.stack([law.from_free(rng.standard_normal(N_PRIOR)) for law in laws], axis=1)
     log_prior = np.stack([law.log_density(own[:, :, i]) for i, law in enumerate(laws)], axis=2)
 
@@ -146,7 +146,7 @@ def groups_of(
 
 def _words(posterior: Likelihood) -> dict[str, tuple[str, str]]:
     """Give unit and meaning of everything in the file, by name."""
-    words = MEANINGS | {p.name: (p.unit, p.meaning) for p in posterior.model.parameters}
+    words = MEANINGS | {p.name: (p.unit, p.meaning) for p in map(meaning_of, posterior.model.names)}
     for name, unit in extra_names(posterior).items():
         words[f"{EXTRA}{name}"] = (unit or "1", "further channel, as named")
     further = measured_of(posterior.runs)[0]
@@ -209,7 +209,9 @@ def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> tup
     rows = [[value if math.isfinite(value) else None for value in row] for row in numbers.tolist()]
     columns = ("mean", "sd", "q05", "q50", "q95", "ess_bulk", "ess_tail", "rhat")
     named: list[dict[str, Any]] = [dict(zip(columns, row, strict=True)) for row in rows]
-    return tuple(ParameterRow(name=p.name, unit=p.unit, **row) for p, row in zip(model.parameters, named, strict=True))
+    units = [meaning_of(name).unit for name in model.names]
+    rows_of = zip(model.names, units, named, strict=True)
+    return tuple(ParameterRow(name=name, unit=unit, **row) for name, unit, row in rows_of)
 
 
 def fit_record(
@@ -253,7 +255,7 @@ def fit_record(
         },
         prior_laws=tuple(
             PriorRecord(name=n, unit=p.unit, law=p.law, a=p.a, b=p.b, source=p.source)
-            for n, p in zip(posterior.model.names, model.laws_of_parameters, strict=True)
+            for n, p in zip(posterior.model.names, model.laws, strict=True)
         ),
         inputs=tuple(_input(run, *zero) for run, zero in zip(posterior.runs, zeros, strict=True)),
         sampling=SamplingRecord(

@@ -14,7 +14,7 @@ from shj_bayes.margins.specimen import Belief, Specimen, drive, largest_ranges
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.effect import Effect
-from shj_bayes.model.history import History, histories
+from shj_bayes.model.history import History, histories, on_scales_of
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.options import MarginOptions
 from shj_bayes.recording.motion import Block, Motion, alternating, exact_motion, hysteresis
@@ -48,7 +48,7 @@ def measured_channels(specimen: Specimen) -> tuple[MeasuredChannel, ...]:
             curve = curve_named(effect.id)
             if curve is None or not curve.over.measured:
                 continue
-            own = [typical[belief.model.index(f"{effect.id}.{name}")] for name in effect.names]
+            own = [typical[belief.model.names.index(f"{effect.id}.{name}")] for name in effect.names]
             factor = curve.rows(share, np.ones(PLACES)) @ np.array(own)
             ends = curve.over.value_of(share[[np.argmin(factor), np.argmax(factor)]], history).tolist()
             one = history.measured[curve.coordinate]
@@ -143,7 +143,7 @@ class LoadingHistory:
         last, n_runs = specimen.histories[-1], len(specimen.histories)
         if n_runs not in self._runs:
             self._runs[n_runs] = histories([self.time_s] * n_runs, [self.motion] * n_runs)
-        return tuple(run.on_scales_of(last, self.motion.displacement_mm) for run in self._runs[n_runs])
+        return tuple(on_scales_of(run, last, self.motion.displacement_mm) for run in self._runs[n_runs])
 
     @cached_property
     def _runs(self) -> dict[int, tuple[History, ...]]:

@@ -401,7 +401,7 @@ def _result(
             values[q], sd = (float(x) for x in np.median(corrected or best, axis=0))
         reading = noise / np.sqrt(max(shares.get(base_of(q), 1), 1))
         errors[q] = max(float(np.hypot(sd, reading)), LEAST_ERROR)
-    stiffness = np.log(belief.theta[:, belief.model.index("K")])
+    stiffness = np.log(belief.theta[:, belief.model.names.index("K")])
     values["K"], errors["K"] = float(np.exp(np.mean(stiffness))), max(float(np.std(stiffness)), LEAST_ERROR)
     table = tuple(map(_summary, tables, seen))
     told = (specimen.name, specimen.set_name, table, values, errors, gap, cycles, loops, laws, carried)

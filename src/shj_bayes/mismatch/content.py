@@ -454,7 +454,7 @@ def channels(data: BinnedData, base: Laplace, shown: Laplace) -> dict[str, Float
 
 def draws_of(state: Laplace, seed: int) -> dict[str, FloatArray]:
     """Draw from the Gaussian around the most probable parameters of a model, natural units."""
-    theta = state.model.natural_of_law(drawn_from(state, 2000, seed))
+    theta = state.model.laws.natural(drawn_from(state, 2000, seed))
     return dict(zip(state.model.law_names, theta.T[: state.z.size], strict=True))
 
 

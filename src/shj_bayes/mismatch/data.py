@@ -167,7 +167,7 @@ def _memory(data: BinnedData) -> FloatArray:
     Both rules are in use for cycles that turn before the device slides; a device may follow either, or lie between.
     Under the published rule it also holds the jump of Eq. (1) behind each reversal, which Masing's rule has not.
     """
-    theta, columns = data.device.natural_of_law(data.z[None]), []
+    theta, columns = data.device.laws.natural(data.z[None]), []
     for part in data.blocks:
         motion, start = part.history.motion, part.run.start_force_kN
         laws = data.device.run_laws(theta, part.history.run)
@@ -186,7 +186,7 @@ class ErrorParameters:
 
     def values(self, data: BinnedData) -> dict[str, float]:
         """Parameters of the noise model in their units, by name."""
-        laws = data.device.laws_of_parameters[data.device.n_law :]
+        laws = data.device.laws[data.device.n_law :]
         return {law.name: float(law.from_free(np.asarray(v))) for law, v in zip(laws, self.z, strict=True)}
 
     def parts_kN(self, data: BinnedData) -> tuple[float, float]:
@@ -236,7 +236,7 @@ class ErrorParameters:
         size = self.size_kN(data)
         if size <= most_kN:
             return self
-        laws = data.device.laws_of_parameters[data.device.n_law :]
+        laws = data.device.laws[data.device.n_law :]
         smaller = (
             float(law.to_free(law.from_free(np.asarray(z)) * most_kN / size)) if law.unit == "kN" else z
             for law, z in zip(laws, self.z, strict=True)

@@ -115,7 +115,7 @@ class _FirstOrder:
         beside = out.metric.gaussian(h.state.beside(*columns)).given(h.state.z.size)
         ends = np.cumsum([0, *(c.shape[1] for c in columns)])
         self._places = [np.arange(a, b) for a, b in pairwise(ends)]
-        axes = [np.linalg.eigh(beside.some(own).inner) for own in self._places]
+        axes = [np.linalg.eigh(beside.inner[np.ix_(own, own)]) for own in self._places]
         turned = block_diag(np.zeros((0, 0)), *(vectors for _, vectors in axes))
         self._inner, self._along = turned.T @ beside.inner @ turned, turned.T @ beside.along
         # Posterior mean of the coefficients of each alone, and what it does to the force, kN.

@@ -201,7 +201,7 @@ def noise_beside(
 def noise_of_size(device: DeviceModel, size_kN: float) -> tuple[float, ...]:
     """Noise parameters to begin with, unbounded: the size of a residual in every part."""
     values = []
-    for own, law in zip(device.noise.own, device.laws_of_parameters[device.n_law :], strict=True):
+    for own, law in zip(device.noise.own, device.laws[device.n_law :], strict=True):
         unit = size_kN if own.unit == "kN" else 1.0
         value = law.quantile(0.5) if own.typical is None else np.asarray(own.typical * unit)
         values.append(float(np.clip(law.to_free(value), -7.0, 7.0)))

@@ -74,7 +74,7 @@ def laplace(metric: ErrorModel, model: DeviceModel, z: FloatArray, floor: float 
     residual, slope = both[0][0], both[1][0]
     now, enough = height(residual, z), 2.0 * (metric.log_constant - floor)
     # Coefficients of curves act in proportion to their size: they may go far at once.
-    unit = np.array([0.1 if law.either_sign else 1.0 for law in model.laws_of_parameters[: model.n_law]])
+    unit = np.array([0.1 if law.either_sign else 1.0 for law in model.laws[: model.n_law]])
     reach = REACH
     for left in reversed(range(ROUNDS)):
         columns = likelihood.jacobian(z, residual)
@@ -162,7 +162,7 @@ def find_noise(
     known = np.ones(beside.shape[1] - 1 - missed.shape[1])
     unit = MODEL_ERROR * data.scale_kN
     lasts_s = max(float(np.ptp(part.history.time_s)) for part in data.blocks)
-    laws = data.device.laws_of_parameters[data.device.n_law :]
+    laws = data.device.laws[data.device.n_law :]
     longest_s = np.asarray(lasts_s / (2.0 * VALUES_SEEN))
     most = np.array([float(law.to_free(longest_s)) if law.unit == "s" else math.inf for law in laws])
 

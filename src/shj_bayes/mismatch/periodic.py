@@ -280,7 +280,7 @@ def _response(data: BinnedData, state: Laplace, action: str) -> list[FloatArray]
     step = 1e-3
     at = list(state.model.law_names).index("Fy")
     z = state.z + step * np.eye(state.z.size)[at][None]
-    theta = state.model.natural_of_law(np.vstack([state.z, z]))
+    theta = state.model.laws.natural(np.vstack([state.z, z]))
     rise = float(theta[1, at] / theta[0, at] - 1.0)
     forces = [part.force(state.model, theta) for part in data.blocks]
     return [np.asarray((f[1] - f[0]) / rise) for f in forces]

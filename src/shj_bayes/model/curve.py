@@ -107,7 +107,10 @@ class Curve:
     @cached_property
     def n(self) -> int:
         """Number of coefficients."""
-        each = int(self._spline.c.shape[-1]) if self.period is None else 2 * harmonics(self.length).size
+        if self.period is not None:
+            each = 2 * harmonics(self.length).size
+        else:
+            each = int(components(self.length, self.over.zero_share).c.shape[-1])
         return each * (2 if self.sides else 1)
 
     def place(self, history: History, base: Base) -> FloatArray:
@@ -122,42 +125,39 @@ class Curve:
     def components(self, place: FloatArray) -> FloatArray:
         """Components at given places, shape (n, r); of a curve that comes again, the waves of its period and parts."""
         if self.period is None:
-            return np.asarray(self._spline(place))
+            return np.asarray(components(self.length, self.over.zero_share)(place))
         sd = harmonics(self.length)
         angle = 2.0 * np.pi * place[:, None] * np.arange(1, sd.size + 1)
         return np.concatenate([sd * np.cos(angle), sd * np.sin(angle)], axis=1)
 
     def rows(self, place: FloatArray, direction: FloatArray) -> FloatArray:
         """Basis functions, shape (n, r): what each coefficient adds, as a share of Fy."""
-        return self._by_side(self.size * self.components(place), direction)
+        basis = self.size * self.components(place)
+        return by_side(basis, direction) if self.sides else np.asarray(basis)
 
     def columns(self, history: History, base: Base) -> FloatArray:
         """Clamping, or force (kN), that each coefficient adds at the points of a history, shape (n, r)."""
         basis = self.size * self._components_at(history, base)
         if self.over.times is not None:
             basis = basis * self.over.times(history)[:, None]
-        out = self._by_side(basis, history.direction)
+        out = by_side(basis, history.direction) if self.sides else basis
         if self.action == "added":
             return np.asarray(base.Fy_first * out)
         if self.over.memory_mm > 0.0:
             return np.stack([felt(column, history, base, self.over.memory_mm) for column in out.T], axis=1)
         return out
 
-    def _by_side(self, basis: FloatArray, direction: FloatArray) -> FloatArray:
-        """Functions for both directions, or those for push and then those for pull, shape (n, r)."""
-        if not self.sides:
-            return np.asarray(basis)
-        push = (direction > 0)[:, None]
-        return np.concatenate([np.where(push, basis, 0.0), np.where(push, 0.0, basis)], axis=1)
-
     def act(self, history: History, values: Values, base: Base) -> Contribution:
         """Clamping 1 + f, or Fy_first f added to the force."""
         coefficients = self.size * np.array([values[name] for name in self.names])
-        if self.sides:
-            push, pull = np.split(coefficients, 2)
-            f = np.where(history.direction > 0, self._at(history, base, push), self._at(history, base, pull))
+        of_side = np.split(coefficients, 2) if self.sides else [coefficients]
+        if self._is_passing(history) and self.period is None:  # few will ask: one curve in the place of its components
+            spline, place = components(self.length, self.over.zero_share), self.place(history, base)
+            curves = [PPoly.construct_fast(spline.c @ own, spline.x)(place) for own in of_side]
         else:
-            f = self._at(history, base, coefficients)
+            basis = self._components_at(history, base)
+            curves = [basis @ own for own in of_side]
+        f = np.where(history.direction > 0, *curves) if self.sides else curves[0]
         if self.over.times is not None:
             f = f * self.over.times(history)
         if self.action == "capacity":
@@ -168,21 +168,6 @@ class Curve:
     def names(self) -> tuple[str, ...]:
         """Names of the coefficients."""
         return tuple(f"c{i}" for i in range(1, self.n + 1))
-
-    @property
-    def _spline(self) -> CubicSpline:
-        """Components at a share of the range."""
-        return components(self.length, self.over.zero_share)
-
-    def _at(self, history: History, base: Base, coefficients: FloatArray) -> FloatArray:
-        """Curve of given coefficients at the points of a history."""
-        if not self._is_passing(history):
-            return np.asarray(self._components_at(history, base) @ coefficients)
-        place = self.place(history, base)
-        if self.period is not None:
-            return np.asarray(self.components(place) @ coefficients)
-        spline = self._spline
-        return np.asarray(PPoly.construct_fast(spline.c @ coefficients, spline.x)(place))
 
     def _is_passing(self, history: History) -> bool:
         """Whether the components at the points of a history are not worth keeping: few will ask, or they are many."""
@@ -226,3 +211,9 @@ class Curve:
             cause="Friction is a coefficient times the clamping force; what changes either changes the force.",
             mechanism=self.coordinate,
         )
+
+
+def by_side(basis: FloatArray, direction: FloatArray) -> FloatArray:
+    """Functions for push and then those for pull, shape (n, r) to (n, 2 r)."""
+    push = (direction > 0)[:, None]
+    return np.concatenate([np.where(push, basis, 0.0), np.where(push, 0.0, basis)], axis=1)

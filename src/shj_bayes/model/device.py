@@ -19,7 +19,7 @@ from shj_bayes.model.history import History, delayed
 from shj_bayes.model.law import force_of_laws, variant_named
 from shj_bayes.model.noise.noise import DEFAULT, Noise, noise_model
 from shj_bayes.model.parameters import SHAREABLE, FloatArray, Parameter, describe, run_name
-from shj_bayes.model.priors import Prior, Priors
+from shj_bayes.model.priors import Laws, Priors
 
 UNLOADED = 0.1  # of the sliding force: a test that begins with less than this begins unloaded
 NONE = np.empty((2, 0))
@@ -246,15 +246,10 @@ class DeviceModel:
         return (*law, *ratios, *freed, *added, *self.noise.parameters)
 
     @cached_property
-    def laws_of_parameters(self) -> tuple[Prior, ...]:
+    def laws(self) -> Laws:
         """Prior of each sampled parameter."""
         own = {f"{effect.id}.{prior.name}": prior for effect in self.effects for prior in effect.parameters}
-        return tuple(own[name] if name in own else self.priors.of(name) for name in self.names)
-
-    @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Sampled parameters with unit and meaning."""
-        return tuple(meaning_of(name) for name in self.names)
+        return Laws(own[name] if name in own else self.priors.of(name) for name in self.names)
 
     @property
     def n_law(self) -> int:
@@ -268,7 +263,7 @@ class DeviceModel:
 
     def law_values(self, z: FloatArray) -> dict[str, float]:
         """Parameters of the force in natural units by name, from their unbounded values, shape (n_law,)."""
-        pairs = zip(self.law_names, self.laws_of_parameters, z, strict=False)
+        pairs = zip(self.law_names, self.laws, z, strict=False)
         return {name: float(prior.from_free(np.asarray(value))) for name, prior, value in pairs}
 
     @cached_property
@@ -281,56 +276,23 @@ class DeviceModel:
         """Give the same device with other effects."""
         return replace(self, effects=tuple(effects))
 
-    def index(self, name: str) -> int:
-        """Position of a parameter in a vector."""
-        return self.names.index(name)
-
-    def natural(self, z: FloatArray) -> FloatArray:
-        """Unbounded vectors, shape (..., d), to parameters in natural units, shape (..., d)."""
-        mean, sd, others = self._normal
-        out = mean + sd * z
-        for i in others:
-            out[..., i] = self.laws_of_parameters[i].from_free(z[..., i])
-        return np.asarray(out)
-
-    @cached_property
-    def _normal(self) -> tuple[FloatArray, FloatArray, tuple[int, ...]]:
-        """Mean and standard deviation of the normal priors, and the places of the others: curves have many of these."""
-        laws = self.laws_of_parameters
-        others = tuple(i for i, law in enumerate(laws) if law.law != "normal")
-        normal = np.array([(law.a, law.b) if law.law == "normal" else (0.0, 0.0) for law in laws])
-        return normal[:, 0], normal[:, 1], others
-
-    def natural_of_law(self, z: FloatArray) -> FloatArray:
-        """Unbounded vectors of the law alone, shape (m, n_law), to all, shape (m, d), noise at its median."""
-        return self.natural(np.pad(z, ((0, 0), (0, len(self.names) - z.shape[1]))))
-
-    def unbounded(self, theta: FloatArray) -> FloatArray:
-        """Parameters in natural units, shape (m, d), to unbounded vectors."""
-        return np.stack([prior.to_free(theta[:, i]) for i, prior in enumerate(self.laws_of_parameters)], axis=1)
-
-    def log_prior(self, z: FloatArray) -> FloatArray:
-        """Log prior density in the unbounded space, shape (m, d) to (m,)."""
-        terms = [prior.log_density_free(z[:, i]) for i, prior in enumerate(self.laws_of_parameters)]
-        return np.asarray(np.sum(terms, axis=0))
-
     def run_laws(self, theta: FloatArray, run: int) -> FloatArray:
         """K (kN/mm), Fy of that run (kN), beta and gamma (s/mm) of parameter sets, shape (m, d) to (m, 4)."""
         at = {
-            name: self.index(f"{name}_{run}" if run > 1 and name in self.free else name)
+            name: self.names.index(f"{name}_{run}" if run > 1 and name in self.free else name)
             for name in SHAREABLE
             if self.speed or name != "gamma"
         }
         gamma = theta[:, at["gamma"]] if self.speed else np.zeros(theta.shape[0])
-        capacity = theta[:, self.index("Fy")]
+        capacity = theta[:, self.names.index("Fy")]
         if run > 1:
-            capacity = capacity * theta[:, self.index(run_name("ratio", run))]
+            capacity = capacity * theta[:, self.names.index(run_name("ratio", run))]
         return np.ascontiguousarray(np.stack([theta[:, at["K"]], capacity, theta[:, at["beta"]], gamma], axis=1))
 
     def acting(self, theta: FloatArray, run: int) -> Iterator[tuple[Base, list[tuple[Effect, dict[str, float]]]]]:
         """Law of a run and the effects with their values, for each of some parameter sets, shape (m, d)."""
-        laws, first = self.run_laws(theta, run).tolist(), self.index("Fy")
-        places = [(e, [(p.name, self.index(f"{e.id}.{p.name}")) for p in e.parameters]) for e in self.effects]
+        laws, first = self.run_laws(theta, run).tolist(), self.names.index("Fy")
+        places = [(e, [(p.name, self.names.index(f"{e.id}.{p.name}")) for p in e.parameters]) for e in self.effects]
         for own, (stiffness, capacity, beta, gamma) in zip(theta.tolist(), laws, strict=True):
             base = Base(stiffness, capacity, beta, gamma, own[first])
             yield base, [(effect, {name: own[i] for name, i in at}) for effect, at in places]
@@ -351,24 +313,25 @@ class DeviceModel:
             )
         return out
 
-    @cached_property
-    def linear(self) -> NDArray[np.intp]:
-        """Places of the parameters that belong to effects which are linear in theirs, shape (p,): those of `slopes`."""
-        of = {f"{e.id}.{name}" for e in self.effects if e.columns for name in e.names}
-        return np.flatnonzero([name in of for name in self.names])
-
-    def slopes(self, theta: FloatArray, history: History, start_force_kN: float) -> FloatArray:
-        """Give the derivatives of the force of one run after the parameters at `linear`, shape (d,) to (n_samples, p).
-
-        In the unbounded space, kN; other arguments as for `force`.
-        """
-        ((base, acting),) = self.acting(theta[None], history.run)
-        own = slopes_with_effects(history, base, acting, variant=self.variant, start_force_kN=start_force_kN)
-        return own * self._normal[1][self.linear]
-
     def noise_values(self, theta: FloatArray) -> dict[str, FloatArray]:
         """Noise parameters by name, each of shape (m,)."""
-        return {name: np.ascontiguousarray(theta[:, self.index(name)]) for name in self.noise.parameters}
+        return {name: np.ascontiguousarray(theta[:, self.names.index(name)]) for name in self.noise.parameters}
+
+
+def linear_in(model: DeviceModel) -> NDArray[np.intp]:
+    """Places of the parameters that belong to effects which are linear in theirs, shape (p,): those of `slopes_of`."""
+    of = {f"{e.id}.{name}" for e in model.effects if e.columns for name in e.names}
+    return np.flatnonzero([name in of for name in model.names])
+
+
+def slopes_of(model: DeviceModel, theta: FloatArray, history: History, start_force_kN: float) -> FloatArray:
+    """Give the derivatives of the force of one run after the parameters `linear_in` it, shape (d,) to (n_samples, p).
+
+    In the unbounded space, kN; other arguments as for `DeviceModel.force`.
+    """
+    ((base, acting),) = model.acting(theta[None], history.run)
+    own = slopes_with_effects(history, base, acting, variant=model.variant, start_force_kN=start_force_kN)
+    return own * model.laws.spread[linear_in(model)]
 
 
 def meaning_of(name: str) -> Parameter:

@@ -83,6 +83,9 @@ class History:
     # further channels by coordinate: functions of `time_s`, which fewer or other samples leave as they are
     measured: Mapping[str, Measured] = field(default_factory=dict)
     passing: bool = False  # whether the motion hangs on parameters, so that nothing large is kept of it
+    # recalled, late: arrays that followed from it, for `recall`; what `delayed` made of it, by the delay, s
+    recalled: dict[Hashable, FloatArray] = field(init=False, repr=False, default_factory=dict)
+    late: dict[float, tuple[History, NDArray[np.int64]] | None] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
@@ -92,15 +95,6 @@ class History:
             if values.shape != (n,):
                 raise ModelError(f"{name} has shape {values.shape}; it needs ({n},)")
             object.__setattr__(self, name, values)
-
-    def on_scales_of(self, tested: History, position_mm: FloatArray) -> History:
-        """Give the same motion with the scales that a device's parameters and curves are stated on: those of its tests.
-
-        `tested` is any run of them, `position_mm` the distance from the middle of their stroke. Further channels, of
-        which the motion says nothing, stand at their references.
-        """
-        scales = {name: getattr(tested, name) for name in SCALES}
-        return replace(self, position_mm=position_mm, measured=tested.held({}).measured, **scales)
 
     def held(self, values: Mapping[str, float]) -> History:
         """Give the same motion with its further channels at given values, by coordinate; others at their references."""
@@ -125,20 +119,11 @@ class History:
 
     def recall(self, key: Hashable, make: Callable[[], FloatArray]) -> FloatArray:
         """Give what follows from this history alone, worked out once: a model is asked for many parameters."""
-        if key not in self._recalled:
-            if len(self._recalled) >= RECALLED:
-                self._recalled.clear()
-            self._recalled[key] = make()
-        return self._recalled[key]
-
-    @cached_property
-    def _recalled(self) -> dict[Hashable, FloatArray]:
-        return {}
-
-    @cached_property
-    def late(self) -> dict[float, tuple[History, NDArray[np.int64]] | None]:
-        """What `delayed` made of it, by the delay, s."""
-        return {}
+        if key not in self.recalled:
+            if len(self.recalled) >= RECALLED:
+                self.recalled.clear()
+            self.recalled[key] = make()
+        return self.recalled[key]
 
     def reduced(self, rows: FloatArray, start: NDArray[np.int64], kept: NDArray[np.int64] | None = None) -> History:
         """Give the history at fewer points, which need not be samples.
@@ -157,30 +142,12 @@ class History:
         motion = Motion(rows[1], rows[2], start, whole.turning_mm, whole.direction)
         return replace(self, motion=motion, near_turns=turns, position_mm=rows[1] - middle, **_channels(rows))
 
-    def thinned(self, keep: NDArray[np.int64]) -> History:
-        """History at some of its samples, of which each half-cycle has one at least."""
-        return self.reduced(self.rows[:, keep], np.searchsorted(keep, self.motion.start), keep)
-
     @cached_property
     def course(self) -> FloatArray:
         """Polynomials over time between the samples, so that few samples do; see `course_of`."""
         velocity = self.direction * self.speed_mm_s
         x = self.motion.displacement_mm
         return course_of(self.time_s, x, velocity, self.travel_m, self.acceleration_mm_s2)
-
-    @cached_property
-    def turn_s(self) -> FloatArray:
-        """Time at which each half-cycle but the first begins, between its first sample and the one before, s."""
-        if self.near_turns is not None:  # as the whole recording has it
-            rows, begins = self.near_turns
-            return np.asarray(rows[0, begins[1:-1] - 1])
-        first = self.motion.start[1:-1]
-        before, after = self.speed_mm_s[first - 1], self.speed_mm_s[first]
-        step = self.time_s[first] - self.time_s[first - 1]
-        # At constant acceleration; after a rest the half-cycle begins when the motion does.
-        rested = before < STANDING * self.peak_speed_mm_s
-        share = np.where(rested, 1.0, before / np.maximum(before + after, 1e-300))
-        return np.asarray(self.time_s[first - 1] + share * step)
 
     @property
     def rows(self) -> FloatArray:
@@ -201,7 +168,8 @@ class History:
         base = np.maximum(motion.start[1:-1] - 2, motion.start[:-2])
         out = np.repeat(self.rows[:, base, None], share.size, axis=2)
         end, x = motion.turning_mm[1:, None], motion.displacement_mm[base, None]
-        out[0] = self.turn_s[:, None] - share * (self.turn_s - self.time_s[base])[:, None]
+        turns = turn_s(self)
+        out[0] = turns[:, None] - share * (turns - self.time_s[base])[:, None]
         out[1] = end - share**2 * (end - x)
         out[2] *= share
         out[4] = np.abs(out[1] - motion.turning_mm[:-1, None])
@@ -218,6 +186,35 @@ class History:
     def normal_position(self) -> FloatArray:
         """Position as a share of the half stroke, -1 to 1."""
         return np.asarray(self.position_mm / self.half_stroke_mm)
+
+
+def thinned(history: History, keep: NDArray[np.int64]) -> History:
+    """History at some of its samples, of which each half-cycle has one at least."""
+    return history.reduced(history.rows[:, keep], np.searchsorted(keep, history.motion.start), keep)
+
+
+def on_scales_of(history: History, tested: History, position_mm: FloatArray) -> History:
+    """Give the same motion with the scales that a device's parameters and curves are stated on: those of its tests.
+
+    `tested` is any run of them, `position_mm` the distance from the middle of their stroke. Further channels, of
+    which the motion says nothing, stand at their references.
+    """
+    scales = {name: getattr(tested, name) for name in SCALES}
+    return replace(history, position_mm=position_mm, measured=tested.held({}).measured, **scales)
+
+
+def turn_s(history: History) -> FloatArray:
+    """Time at which each half-cycle but the first begins, between its first sample and the one before, s."""
+    if history.near_turns is not None:  # as the whole recording has it
+        rows, begins = history.near_turns
+        return np.asarray(rows[0, begins[1:-1] - 1])
+    first = history.motion.start[1:-1]
+    before, after = history.speed_mm_s[first - 1], history.speed_mm_s[first]
+    step = history.time_s[first] - history.time_s[first - 1]
+    # At constant acceleration; after a rest the half-cycle begins when the motion does.
+    rested = before < STANDING * history.peak_speed_mm_s
+    share = np.where(rested, 1.0, before / np.maximum(before + after, 1e-300))
+    return np.asarray(history.time_s[first - 1] + share * step)
 
 
 ARRAYS = ("time_s", "position_mm", *ROWS[3:])
@@ -303,7 +300,7 @@ def delayed(history: History, lag_s: float) -> tuple[History, NDArray[np.int64]]
     known = history.late
     if lag_s not in known:
         time = history.time_s
-        start = np.concatenate([[0], np.searchsorted(time - lag_s, history.turn_s), [time.size]]).astype(np.int64)
+        start = np.concatenate([[0], np.searchsorted(time - lag_s, turn_s(history)), [time.size]]).astype(np.int64)
         late = None if np.any(np.diff(start) <= 0) else _with_way(history, lag_s, start)
         if len(known) >= DELAYED:  # most parameters of a model leave the delay as it is
             known.clear()
@@ -331,7 +328,7 @@ def _few(history: History) -> History:
     start = history.motion.start
     step = np.floor(1000.0 * history.travel_m / history.half_stroke_mm * FEW)
     kept = np.flatnonzero(np.diff(step, append=np.inf))
-    return history.thinned(np.unique(np.concatenate([kept, start[:-1], start[1:] - 1])))
+    return thinned(history, np.unique(np.concatenate([kept, start[:-1], start[1:] - 1])))
 
 
 def _channels(rows: FloatArray) -> dict[str, Any]:

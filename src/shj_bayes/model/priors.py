@@ -5,6 +5,7 @@ that way; the likelihood never sees either.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -152,6 +153,42 @@ class Prior:
 
     def _bounds(self) -> tuple[float, float]:
         return (np.log(self.a), np.log(self.b)) if self.law == "loguniform" else (self.a, self.b)
+
+
+class Laws(tuple[Prior, ...]):
+    """Priors of several parameters, and the space in which each of these is unbounded and standardised."""
+
+    @cached_property
+    def spread(self) -> FloatArray:
+        """Standard deviations of the normal ones, 0 for others, shape (d,)."""
+        return np.array([law.b if law.law == "normal" else 0.0 for law in self])
+
+    @cached_property
+    def _normal(self) -> tuple[FloatArray, tuple[int, ...]]:
+        """Means of the normal ones, and the places of the others: curves have many of the former."""
+        others = tuple(i for i, law in enumerate(self) if law.law != "normal")
+        return np.array([0.0 if i in others else law.a for i, law in enumerate(self)]), others
+
+    def natural(self, z: FloatArray) -> FloatArray:
+        """Unbounded vectors, shape (..., d), to parameters in natural units; the last ones may be left out.
+
+        They are at their median then.
+        """
+        if z.shape[-1] < len(self):
+            z = np.pad(z, (*(((0, 0),) * (z.ndim - 1)), (0, len(self) - z.shape[-1])))
+        mean, others = self._normal
+        out = mean + self.spread * z
+        for i in others:
+            out[..., i] = self[i].from_free(z[..., i])
+        return np.asarray(out)
+
+    def unbounded(self, theta: FloatArray) -> FloatArray:
+        """Parameters in natural units, shape (m, d), to unbounded vectors."""
+        return np.stack([law.to_free(theta[:, i]) for i, law in enumerate(self)], axis=1)
+
+    def log_density(self, z: FloatArray) -> FloatArray:
+        """Log density in the unbounded space, shape (m, d) to (m,)."""
+        return np.asarray(np.sum([law.log_density_free(z[:, i]) for i, law in enumerate(self)], axis=0))
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from shj_bayes.inference.store import remarks_of
 from shj_bayes.margins.virtual_test import counted_from, of_readings, read_off
 from shj_bayes.mismatch.data import data_of
 from shj_bayes.mismatch.regions import aliases_of
-from shj_bayes.model.device import DeviceModel
+from shj_bayes.model.device import DeviceModel, meaning_of
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import one_peak_speed
 from shj_bayes.results.diagnosis import Alias
@@ -96,14 +96,14 @@ def first_answer(
         posterior, start = find_start(make_likelihood(runs, model), threads=threads)
     except InferenceError:
         return Identifiability(doubts=(Doubt.NO_TOP,), half_cycles=n_half), ()
-    theta = posterior.model.natural(start.free[None])[0]
+    theta = posterior.model.laws.natural(start.free[None])[0]
     forces = tuple(_force(posterior, theta, i) for i in range(len(runs)))
     left = np.concatenate([(r.recording.force_kN - f)[r.used] for r, f in zip(runs, forces, strict=True)])
     rng = np.random.default_rng(np.random.SeedSequence(1, spawn_key=(11,)))
     free = start.free + rng.standard_normal((DRAWS, start.free.size)) @ root_of(start.covariance).T
-    natural = posterior.model.natural(free)
+    natural = posterior.model.laws.natural(free)
     least = _least(posterior, start, forces[-1])
-    stiffness, capacity = (float(theta[posterior.model.index(name)]) for name in ("K", "Fy"))
+    stiffness, capacity = (float(theta[posterior.model.names.index(name)]) for name in ("K", "Fy"))
     said = Identifiability(
         doubts=() if least else (Doubt.NEVER_SLIDES,),
         parameters=_expected(posterior, start, natural),
@@ -126,7 +126,7 @@ def _peaks(run: Run) -> FloatArray:
 
 def _expected(posterior: Likelihood, start: Start, natural: FloatArray) -> tuple[ExpectedParameter, ...]:
     """Rows of the parameters from draws in natural units, shape (n, d)."""
-    laws = posterior.model.laws_of_parameters
+    laws = posterior.model.laws
     widths = np.sqrt(np.diag(start.covariance))  # priors are standard normal there
     low, high = np.quantile(natural, [0.05, 0.95], axis=0)
     return tuple(
@@ -141,7 +141,7 @@ def _expected(posterior: Likelihood, start: Start, natural: FloatArray) -> tuple
             prior_q95=float(law.quantile(0.95)),
             narrowed=float(min(widths[i], 1.0)),
         )
-        for i, (parameter, law) in enumerate(zip(posterior.model.parameters, laws, strict=True))
+        for i, (parameter, law) in enumerate(zip(map(meaning_of, posterior.model.names), laws, strict=True))
     )
 
 
@@ -159,7 +159,7 @@ def _least(posterior: Likelihood, start: Start, force_kN: FloatArray) -> tuple[f
     if not math.isfinite(from_mm):
         return None
     steps = STEP * np.eye(start.free.size)[: posterior.model.n_law]
-    theta = posterior.model.natural(np.concatenate([start.free + steps, start.free - steps]))
+    theta = posterior.model.laws.natural(np.concatenate([start.free + steps, start.free - steps]))
     history, begins = posterior.histories[i], posterior.runs[i].start_force_kN
     force = np.concatenate([np.asarray(posterior.model.force(one[None], history, begins)) for one in theta])
     try:

@@ -11,9 +11,11 @@ from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
 from shj_bayes.errors import PlanError, did_you_mean
+from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.margins.virtual_test import Readings, counted_from, of_readings, read_off
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.model.device import DeviceModel, meaning_of
@@ -87,7 +89,7 @@ def expected_information(
     drawn = np.concatenate(outcomes, axis=1) + wrong
     logs, values, variances = [], [], []
     for i, (rival, (mean, design)) in enumerate(zip(rivals, linear, strict=True)):
-        after = rival.gaussian.informed(design)
+        after = foretold(rival.gaussian, design)
         away = drawn - mean[:, None]
         along = design.T @ away
         moved = after.solve(along)
@@ -113,6 +115,13 @@ def expected_information(
         separation=_separation(known, evidence.reshape(len(rivals), n, len(rivals))),
         misread_kN=float(np.percentile(np.abs(misread[data.blocks.used > 0]), 99)),
     )
+
+
+def foretold(before: Gaussian, columns: FloatArray) -> Gaussian:
+    """Give a Gaussian with further data that its mean foretold, of such columns, shape (n, p)."""
+    seen = columns @ before.mean
+    along = before.along + columns.T @ seen
+    return Gaussian(before.square + float(seen @ seen), along, before.inner + columns.T @ columns, before.constant)
 
 
 def _separation(known: PretestPosterior, logs: FloatArray) -> float:
@@ -205,7 +214,8 @@ def _reduced(columns: Sequence[FloatArray]) -> list[FloatArray]:
 
 def _outcomes(rival: RivalModel, mean: FloatArray, design: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
     """Draw outcomes of a rival in units of the noise, shape (n_evidence, n)."""
-    u = rival.gaussian.draw(n, rng)
+    standard = rng.standard_normal((rival.mean.size, n))
+    u = solve_triangular(rival.gaussian.root, standard, lower=True, trans="T", check_finite=False)
     u[: rival.z.size][~rival.drawn] = 0.0
     return np.asarray(mean[:, None] + design @ u + rng.standard_normal((mean.size, n)))
 
@@ -228,7 +238,7 @@ def _smallest_plateau(known: PretestPosterior) -> Callable[[DeviceModel, FloatAr
     history, first = known.old[-1].history, known.rivals[0]
 
     def read(model: DeviceModel, z: FloatArray) -> Readings:
-        force = model.force(model.natural_of_law(z[None]), history, 0.0)
+        force = model.force(model.laws.natural(z[None]), history, 0.0)
         return read_off(force, history.motion, history.travel_m)
 
     least = counted_from([read(first.model, first.z)])

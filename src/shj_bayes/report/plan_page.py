@@ -153,14 +153,14 @@ def _devices(record: PlanRecord) -> dict[str, str]:
 
 
 def _force(b: RivalModel, history: Any) -> Any:
-    theta = b.model.natural_of_law(b.z[None])
+    theta = b.model.laws.natural(b.z[None])
     return b.model.force(theta, history, 0.0)[0]
 
 
 def _noise(known: PretestPosterior) -> float:
     """Give the standard deviation of the noise of one sample, kN."""
     model = known.device
-    values = model.natural(np.append(np.zeros(model.n_law), known.setting.z)[None])[0, model.n_law :]
+    values = model.laws.natural(np.append(np.zeros(model.n_law), known.setting.z)[None])[0, model.n_law :]
     named = dict(zip(model.noise.parameters, values, strict=True))
     return math.hypot(*(float(v) for name, v in named.items() if name.startswith("sigma")))
 

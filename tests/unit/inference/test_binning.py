@@ -86,10 +86,10 @@ def test_a_start_at_rest_has_the_slope_of_the_first_loading_with_a_delay_too():
     device = DeviceModel(2, read_priors("afc"))
     late = device.with_effects((catalogue()["sensor_lag"],))
     start = find_start(make_likelihood(runs_of(runs), device))[1]
-    z = np.append(start.free[: device.n_law], late.laws_of_parameters[device.n_law].to_free(np.asarray(0.012)))
+    z = np.append(start.free[: device.n_law], late.laws[device.n_law].to_free(np.asarray(0.012)))
     for part in reduce_runs(runs_of(runs)):
         for model, at in ((device, z[:-1]), (late, z)):
-            force = part.force(model, model.natural_of_law(at[None]))
+            force = part.force(model, model.laws.natural(at[None]))
             _, slope = part.residual_and_slope(force)
             resting = part.history.time_s[part.first[:-1]] < 4.0
             assert resting.sum() >= 3

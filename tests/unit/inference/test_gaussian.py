@@ -6,6 +6,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from shj_bayes.inference.gaussian import Gaussian, log_gains
+from shj_bayes.planning.information import foretold
 
 N, P = 40, 5
 
@@ -29,7 +30,6 @@ def test_the_evidence_is_the_density_of_the_data(linear: tuple[np.ndarray, np.nd
     assert found.gain == pytest.approx(density(y, columns) - density(y, np.zeros((N, 1))), rel=1e-10)
     sizes = np.array([0.1, 2.0, 1.0, 0.5, 3.0])
     assert found.sized(sizes).log_evidence == pytest.approx(density(y, columns * sizes), rel=1e-12)
-    assert found.some(np.array([0, 3])).log_evidence == pytest.approx(density(y, columns[:, [0, 3]]), rel=1e-12)
 
 
 def test_the_posterior_is_that_of_the_regression(linear: tuple[np.ndarray, np.ndarray, Gaussian]) -> None:
@@ -54,7 +54,7 @@ def test_coefficients_that_are_integrated_out_leave_the_others_as_they_were(
 
 def test_gains_of_many_sets_at_many_sizes(linear: tuple[np.ndarray, np.ndarray, Gaussian]) -> None:
     y, columns, found = linear
-    pairs = [found.some(slice(2)), found.some(slice(3, 5))]
+    pairs = [Gaussian(found.square, found.along[own], found.inner[own, own]) for own in (slice(2), slice(3, 5))]
     sizes = np.array([0.2, 1.0, 3.0])
     gains = log_gains(np.stack([p.inner for p in pairs]), np.stack([p.along for p in pairs]), sizes)
     expected = [[p.sized(size).gain for size in sizes] for p in pairs]
@@ -66,14 +66,13 @@ def test_gains_of_many_sets_at_many_sizes(linear: tuple[np.ndarray, np.ndarray, 
 def test_data_that_were_foretold_narrow_and_do_not_move(linear: tuple[np.ndarray, np.ndarray, Gaussian]) -> None:
     _, columns, found = linear
     further = np.random.default_rng(9).standard_normal((7, P))
-    after = found.informed(further)
+    after = foretold(found, further)
     np.testing.assert_allclose(after.mean, found.mean, rtol=1e-10)
     both = np.concatenate([columns, further])
     np.testing.assert_allclose(after.covariance, np.linalg.inv(np.eye(P) + both.T @ both), rtol=1e-10)
 
 
-def test_draws_scatter_as_the_posterior_says(linear: tuple[np.ndarray, np.ndarray, Gaussian]) -> None:
-    """The whitened draws are the standard normal numbers that they were made from, turned."""
-    _, _, found = linear
-    drawn, standard = found.draw(9, np.random.default_rng(3)), np.random.default_rng(3).standard_normal((P, 9))
-    np.testing.assert_allclose(drawn.T @ found.precision @ drawn, standard.T @ standard, rtol=1e-10, atol=1e-12)
+def test_the_root_is_that_of_the_precision(linear: tuple[np.ndarray, np.ndarray, Gaussian]) -> None:
+    _, columns, found = linear
+    root = np.tril(found.root)
+    np.testing.assert_allclose(root @ root.T, np.eye(P) + columns.T @ columns, rtol=1e-10)

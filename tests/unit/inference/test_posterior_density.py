@@ -76,20 +76,19 @@ def test_likelihood_knows_nothing_of_the_priors(make_small: Make, noise: str) ->
     }
     priors = afc.model.priors
     other = with_model(afc, priors=dataclasses.replace(priors, priors=priors.priors | other_laws))
-    theta = afc.model.natural(0.3 * points(afc, 6))
-    back = other.model.natural(other.model.unbounded(theta))
+    theta = afc.model.laws.natural(0.3 * points(afc, 6))
+    back = other.model.laws.natural(other.model.laws.unbounded(theta))
     np.testing.assert_allclose(back, theta, rtol=1e-12)
     assert np.array_equal(afc.log_likelihood(theta), other.log_likelihood(theta))
     np.testing.assert_allclose(other.log_likelihood(back), afc.log_likelihood(theta), rtol=1e-9)
-    assert not np.allclose(
-        afc.model.log_prior(afc.model.unbounded(theta)), other.model.log_prior(other.model.unbounded(theta))
-    )
+    own, further = afc.model.laws, other.model.laws
+    assert not np.allclose(own.log_density(own.unbounded(theta)), further.log_density(further.unbounded(theta)))
 
 
 @pytest.mark.parametrize("noise", noise_models())
 def test_half_cycles_add_up(make_small: Make, noise: str) -> None:
     small = make_small(noise=noise)
-    theta = small.model.natural(points(small, 3))
+    theta = small.model.laws.natural(points(small, 3))
     by_half_cycle = small.log_likelihood_by_half_cycle(theta)
     assert by_half_cycle.shape == (3, sum(run.motion.n_half for run in small.runs))
     np.testing.assert_allclose(by_half_cycle.sum(axis=1), small.log_likelihood(theta), rtol=1e-12)
@@ -97,9 +96,9 @@ def test_half_cycles_add_up(make_small: Make, noise: str) -> None:
 
 def test_posterior_is_likelihood_and_prior(small_device: Likelihood) -> None:
     z = points(small_device, 5)
-    expected = small_device.log_likelihood(small_device.model.natural(z)) + small_device.model.log_prior(z)
+    expected = small_device.log_likelihood(small_device.model.laws.natural(z)) + small_device.model.laws.log_density(z)
     np.testing.assert_allclose(small_device.log_posterior_free(z), expected, rtol=1e-14)
-    np.testing.assert_allclose(small_device.model.unbounded(small_device.model.natural(z)), z, atol=1e-9)
+    np.testing.assert_allclose(small_device.model.laws.unbounded(small_device.model.laws.natural(z)), z, atol=1e-9)
 
 
 def test_points_outside_have_no_density(small_device: Likelihood) -> None:
@@ -140,7 +139,7 @@ def test_smaller_batches_do_not_see_the_larger_one_before(make_small: Make) -> N
     again = small.log_posterior_free(z[:5])
     assert np.array_equal(again, large[:5])
     assert np.array_equal(small.log_posterior_free(z), large)
-    kept = small.model.force(small.model.natural(z[:2]), small.histories[0], small.runs[0].start_force_kN)
+    kept = small.model.force(small.model.laws.natural(z[:2]), small.histories[0], small.runs[0].start_force_kN)
     copy = kept.copy()
     small.log_posterior_free(z)
     assert np.array_equal(kept, copy)  # what a caller was given is not the reused memory
@@ -277,8 +276,8 @@ def test_displacement_noise_makes_steep_parts_count_less(make_small: Make, noise
     """The noise of the force is what is left: a residual where the force is steep is no surprise any more."""
     small = make_small(n_runs=1, noise=noise)
     run = small.runs[0]
-    theta = small.model.natural(np.zeros((1, len(small.model.names))))
-    theta[0, small.model.index("K")] = 30.0
+    theta = small.model.laws.natural(np.zeros((1, len(small.model.names))))
+    theta[0, small.model.names.index("K")] = 30.0
     wobbly = make_likelihood([Run(run.recording, dataclasses.replace(run.motion, noise_mm=0.3))], small.model)
     assert wobbly.log_likelihood(theta)[0] > small.log_likelihood(theta)[0] + 10.0
 

@@ -20,7 +20,7 @@ def chains(model: DeviceModel, **changed: tuple[float, float]) -> np.ndarray:
     rng = np.random.default_rng(2)
     places = [changed.get(name, (0.3, 0.05)) for name in model.names]
     z = np.stack([middle + width * rng.standard_normal(2000) for middle, width in places], axis=1)
-    return model.natural(z)
+    return model.laws.natural(z)
 
 
 def test_a_recording_that_tells_of_everything_has_no_remark(model):

@@ -34,7 +34,7 @@ def found(make_small: Make) -> tuple[Likelihood, Start]:
 @pytest.mark.parametrize("name", DEVICES)
 def test_map_is_near_the_truth(make_small: Make, as_vector: Vector, name: str, variant: str) -> None:
     posterior, start = find_start(make_small(DEVICES[name], variant=variant))
-    truth = posterior.model.unbounded(as_vector(posterior, DEVICES[name]))[0]
+    truth = posterior.model.laws.unbounded(as_vector(posterior, DEVICES[name]))[0]
     # In units of its own curvature the truth is a chi-squared draw; 1e-4 of those are larger than this.
     distance = (start.free - truth) @ np.linalg.solve(start.covariance, start.free - truth)
     assert distance < stats.chi2(truth.size).ppf(1 - 1e-4) * 1.5  # the Gaussian is an approximation
@@ -96,10 +96,10 @@ def test_effects_are_found_one_after_another(make_small: Make) -> None:
     """Slack and asymmetry added to a device: the search finds both, whose sizes it was not told."""
     plain = make_small(effects=("slack", "asymmetry"))
     model = plain.model
-    truth = plain.model.natural(np.zeros((1, len(model.names))))
+    truth = plain.model.laws.natural(np.zeros((1, len(model.names))))
     values = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.0, "ratio": 0.8, "asymmetry.size": 0.06}
     for name, value in (values | {"slack.size": 2.0, "slack.softness": 0.1, "slack.start": 0.5}).items():
-        truth[0, model.index(name)] = value
+        truth[0, model.names.index(name)] = value
     runs = []
     for number, (run, history) in enumerate(zip(plain.runs, plain.histories, strict=True), start=1):
         noise = np.random.default_rng(number).normal(0, 0.5, run.recording.n_samples)
@@ -108,7 +108,7 @@ def test_effects_are_found_one_after_another(make_small: Make) -> None:
     bare = model.with_effects(())
     assert len(law_starts(make_likelihood(runs, bare))) > 1
     posterior, start = find_start(make_likelihood(runs, model))
-    theta = dict(zip(posterior.model.names, posterior.model.natural(start.free[None])[0], strict=True))
+    theta = dict(zip(posterior.model.names, posterior.model.laws.natural(start.free[None])[0], strict=True))
     assert theta["slack.size"] == pytest.approx(2.0, abs=0.1)
     assert theta["asymmetry.size"] == pytest.approx(0.06, abs=0.01)
     assert start.log_posterior > find_start(make_likelihood(runs, bare))[1].log_posterior + 100

@@ -122,15 +122,16 @@ def test_draws_and_densities_belong_together(fitted: Fitted) -> None:
     theta = np.stack([data["posterior"][n].to_numpy()[2, :5] for n in posterior.model.names], axis=1)
     lp = data["sample_stats"]["lp"].to_numpy()
     assert lp.shape == data["posterior"]["K"].shape
-    z = posterior.model.unbounded(theta)
+    z = posterior.model.laws.unbounded(theta)
     np.testing.assert_allclose(lp[2, :5], posterior.log_posterior_free(z), atol=1e-6)
     parts = data["log_likelihood"][FORCE].to_numpy()[2, :5]
     np.testing.assert_allclose(parts, posterior.log_likelihood_by_half_cycle(theta), atol=1e-6)
     # The prior in natural units has the factor dz / d theta that the one of the unbounded parameters has not.
     step = 1e-6
-    factor = np.log(step / (posterior.model.natural(z + step / 2) - posterior.model.natural(z - step / 2))).sum(axis=1)
+    natural = posterior.model.laws.natural
+    factor = np.log(step / (natural(z + step / 2) - natural(z - step / 2))).sum(axis=1)
     total = sum(data["log_prior"][n].to_numpy()[2, :5] for n in posterior.model.names)
-    np.testing.assert_allclose(total, posterior.model.log_prior(z) + factor, atol=1e-5)
+    np.testing.assert_allclose(total, posterior.model.laws.log_density(z) + factor, atol=1e-5)
 
 
 def test_one_observable_in_all_groups(fitted: Fitted) -> None:
@@ -235,7 +236,7 @@ def test_noise_at_low_speed_is_stated_and_drawn(
     stated = read(FitRecord, folder).noise_at_rest
     assert stated == pytest.approx(np.exp(result.posterior.at_rest))
     small = make_small(noise="independent", n_runs=1).with_noise_at_rest(np.log(3.0))
-    theta = np.tile(small.model.natural(np.zeros((1, len(small.model.names)))), (4000, 1))
+    theta = np.tile(small.model.laws.natural(np.zeros((1, len(small.model.names)))), (4000, 1))
     points = tuple(points_of(run, 10_000) for run in small.runs)
     clean, noisy = force_at_points(small, theta, points, np.random.default_rng(2))
     scatter = (noisy - clean - (noisy - clean).mean(axis=1, keepdims=True)).std(axis=0)

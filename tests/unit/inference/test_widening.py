@@ -82,7 +82,7 @@ def test_a_fit_shows_the_wider_intervals_and_is_not_reliable(misfit) -> None:
     assert f"over {misfit.widening.n_pieces} cycles" in words
     _, start = find_start(misfit.posterior)
     gaussian = np.sqrt(np.diag(start.covariance))
-    shown = misfit.posterior.model.unbounded(draws_of(misfit)).std(axis=0)
+    shown = misfit.posterior.model.laws.unbounded(draws_of(misfit)).std(axis=0)
     i = misfit.widening.names.index("Fy")
     assert shown[i] == pytest.approx(gaussian[i] * misfit.widening.factor[i], rel=0.2)
     cycles = misfit.record.cycles

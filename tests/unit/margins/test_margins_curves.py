@@ -28,9 +28,9 @@ def specimen(set_name, name, gamma=0.0, seed=0, **effects):
     rng = np.random.default_rng(seed)
     values = {"K": 18.0, "Fy": 80.0, "beta": 15.0, **{f"{e}.size": size for e, size in effects.items()}}
     theta = np.array([[values.get(n, 1.0) for n in model.names]] * DRAWS)
-    theta[:, model.index("gamma")] = gamma + 0.0005 * rng.standard_normal(DRAWS)
+    theta[:, model.names.index("gamma")] = gamma + 0.0005 * rng.standard_normal(DRAWS)
     for effect in effects:
-        theta[:, model.index(f"{effect}.size")] *= 1.0 + 0.02 * rng.standard_normal(DRAWS)
+        theta[:, model.names.index(f"{effect}.size")] *= 1.0 + 0.02 * rng.standard_normal(DRAWS)
     return Specimen(name, set_name, (Belief(model, theta),), HISTORIES, (0.0,))
 
 
@@ -42,9 +42,9 @@ def population(*names):
 def test_factors_are_those_of_the_law_and_of_what_was_found():
     at = np.array([0.5, 5.0, 9.5])
     one = specimen("a", "1", 0.02, wear=0.06)
-    gamma = one.beliefs[0].theta[:, one.beliefs[0].model.index("gamma")]
+    gamma = one.beliefs[0].theta[:, one.beliefs[0].model.names.index("gamma")]
     assert log_factors(one, coordinate_named("speed"), at) == pytest.approx(np.log1p(gamma[:, None] * at))
-    size = one.beliefs[0].theta[:, one.beliefs[0].model.index("wear.size")]
+    size = one.beliefs[0].theta[:, one.beliefs[0].model.names.index("wear.size")]
     slid, worn = at / 5, -size[:, None] * at / 5
     assert log_factors(one, coordinate_named("travel"), slid) == pytest.approx(worn, rel=5e-3, abs=1e-5)
     assert np.all(log_factors(specimen("a", "1", 0.02), coordinate_named("travel"), at) == 0)

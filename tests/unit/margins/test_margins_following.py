@@ -27,7 +27,7 @@ def belief(effects: list[str], coefficients: Sequence[float] = ()) -> Belief:
     told = LAW | {f"{CURVE.id}.c{i}": float(c) for i, c in enumerate(coefficients, start=1)}
     rng = np.random.default_rng(3)
     theta = np.array([[told.get(name, 1.0) for name in model.names]] * 16)
-    theta[:, model.index("Fy")] *= np.exp(0.004 * rng.standard_normal(16))
+    theta[:, model.names.index("Fy")] *= np.exp(0.004 * rng.standard_normal(16))
     return Belief(model, theta)
 
 

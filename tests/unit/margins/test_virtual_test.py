@@ -30,7 +30,7 @@ def belief(effects, **values):
     told = LAW | values
     rng = np.random.default_rng(3)
     theta = np.array([[told.get(name, 1.0) for name in model.names]] * 16)
-    theta[:, model.index("Fy")] *= np.exp(0.004 * rng.standard_normal(16))
+    theta[:, model.names.index("Fy")] *= np.exp(0.004 * rng.standard_normal(16))
     return Belief(model, theta)
 
 
@@ -96,7 +96,7 @@ def test_a_wild_draw_of_a_model_makes_no_measured_value_unsure():
     """The recording bounds this device from below; one draw of 16 of a wrong model has half the force."""
     wrong = belief(["bedding_in"], **BEDDING)
     wild = wrong.theta.copy()
-    wild[3, wrong.model.index("Fy")] *= 0.5
+    wild[3, wrong.model.names.index("Fy")] *= 0.5
     sure, unsure = (
         virtual_tests([specimen(replace(wrong, theta=theta), belief(()))], None)[0] for theta in (wrong.theta, wild)
     )

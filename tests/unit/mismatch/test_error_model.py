@@ -16,6 +16,7 @@ from shj_bayes.mismatch.hypothesis import FORMS, PRIOR_INCLUSION, Dependence, ca
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace, laplace_under, visible
 from shj_bayes.mismatch.screen import SIZES_OF_STARTS, screen
 from shj_bayes.model.curve import SIZES
+from shj_bayes.model.device import linear_in
 from shj_bayes.model.filter import sd_over_speed
 
 NOISE = {"sigma_white": 0.8, "sigma_slow": 0.6, "tau_slow": 1.0}
@@ -24,13 +25,13 @@ NOISE = {"sigma_white": 0.8, "sigma_slow": 0.6, "tau_slow": 1.0}
 @pytest.fixture(scope="module")
 def data(small_device, as_vector) -> BinnedData:
     """Two short runs, at the parameters that they were simulated from."""
-    z = small_device.model.unbounded(as_vector(small_device))[0, : small_device.model.n_law]
+    z = small_device.model.laws.unbounded(as_vector(small_device))[0, : small_device.model.n_law]
     return BinnedData(small_device, z)
 
 
 @pytest.fixture(scope="module")
 def metric(data: BinnedData) -> ErrorModel:
-    laws = data.device.laws_of_parameters[data.device.n_law :]
+    laws = data.device.laws[data.device.n_law :]
     z = tuple(float(law.to_free(np.asarray(NOISE[law.name]))) for law in laws)
     slope = data.likelihood.residual_and_slope(data.z[None])[1][0]
     return ErrorModel(data, ErrorParameters(z, 0.7), slope)
@@ -107,13 +108,14 @@ def test_derivatives_after_the_coefficients_of_curves(make_small, effects, varia
     posterior = make_small(effects=effects, variant=variant)
     model = posterior.model
     z = 0.3 * np.random.default_rng(4).standard_normal(model.n_law)
-    z[model.index("K")] = -2.5
+    z[model.names.index("K")] = -2.5
     steps = 1e-5 * np.eye(z.size)
     expected = (posterior.residual(z - steps) - posterior.residual(z + steps)).T / 2e-5
     found = posterior.jacobian(z, posterior.residual(z[None])[0])
-    assert model.linear.size > 3
-    wrong = np.abs(found - expected)[:, model.linear].max(axis=0)
-    assert np.all(wrong < 5e-3 * np.abs(expected).max(axis=0)[model.linear] + 1e-6)
+    linear = linear_in(model)
+    assert linear.size > 3
+    wrong = np.abs(found - expected)[:, linear].max(axis=0)
+    assert np.all(wrong < 5e-3 * np.abs(expected).max(axis=0)[linear] + 1e-6)
 
 
 def test_noise_under_which_columns_are_one_to_rounding_is_not_the_most_probable(
@@ -365,7 +367,7 @@ def test_held_out_cycles_are_those_of_a_refit(
 
 def test_an_error_of_the_start_moves_the_first_half_cycle(data: BinnedData, metric: ErrorModel) -> None:
     """Against the law itself along a motion whose first turning point lies elsewhere, and with another first force."""
-    theta = data.device.natural_of_law(data.z[None])
+    theta = data.device.laws.natural(data.z[None])
     column = starts_of(data, metric)
     stiffness = data.device.law_values(data.z)["K"]
     for run, part in enumerate(data.blocks):

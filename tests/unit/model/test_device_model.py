@@ -26,9 +26,9 @@ def model(n_runs: int, noise: str = "slow", effects: tuple[str, ...] = (), **cha
 
 def vector(of: DeviceModel, **values: float) -> np.ndarray:
     """One parameter set; what is not stated is at the middle of its prior."""
-    theta = of.natural(np.zeros((1, len(of.names))))
+    theta = of.laws.natural(np.zeros((1, len(of.names))))
     for name, value in values.items():
-        theta[0, of.index(name.replace("__", "."))] = value
+        theta[0, of.names.index(name.replace("__", "."))] = value
     return theta
 
 
@@ -50,11 +50,11 @@ def vector(of: DeviceModel, **values: float) -> np.ndarray:
 )
 def test_names_in_order(device: DeviceModel, names: str) -> None:
     assert " ".join(device.names) == names
-    assert [p.name for p in device.parameters] == list(device.names)
-    assert [p.name.rpartition(".")[2] for p in device.laws_of_parameters] == [
+    assert [meaning_of(name).name for name in device.names] == list(device.names)
+    assert [p.name.rpartition(".")[2] for p in device.laws] == [
         name.rpartition(".")[2].partition("_2")[0].partition("_3")[0] for name in device.names
     ]
-    assert all(p.unit and p.meaning for p in device.parameters)
+    assert all(p.unit and p.meaning for p in map(meaning_of, device.names))
     assert device.law_names + device.noise.parameters == device.names
     assert len(device.law_names) == device.n_law
 
@@ -101,7 +101,7 @@ def test_force_of_many_is_that_of_each() -> None:
     history = histories([time], [motion])[0]
     for effects in ((), ("wear", "slack")):
         device = model(1, effects=effects)
-        theta = device.natural(np.random.default_rng(1).normal(0, 0.5, (4, len(device.names))))
+        theta = device.laws.natural(np.random.default_rng(1).normal(0, 0.5, (4, len(device.names))))
         out = device.force(theta, history, 0.0)
         for j in range(4):
             np.testing.assert_array_equal(device.force(theta[j : j + 1], history, 0.0)[0], out[j])
@@ -110,12 +110,12 @@ def test_force_of_many_is_that_of_each() -> None:
 def test_prior_and_free_space_belong_together() -> None:
     device = model(3, "student", ("slack",), free=("K",))
     z = np.random.default_rng(2).normal(0, 1, (5, len(device.names)))
-    np.testing.assert_allclose(device.unbounded(device.natural(z)), z, atol=1e-9)
-    expected = sum(p.log_density_free(z[:, i]) for i, p in enumerate(device.laws_of_parameters))
-    np.testing.assert_allclose(device.log_prior(z), expected, rtol=1e-14)
+    np.testing.assert_allclose(device.laws.unbounded(device.laws.natural(z)), z, atol=1e-9)
+    expected = sum(p.log_density_free(z[:, i]) for i, p in enumerate(device.laws))
+    np.testing.assert_allclose(device.laws.log_density(z), expected, rtol=1e-14)
     values = device.law_values(z[0, : device.n_law])
     assert tuple(values) == device.law_names
-    np.testing.assert_allclose(list(values.values()), device.natural(z[:1])[0, : device.n_law], rtol=1e-14)
+    np.testing.assert_allclose(list(values.values()), device.laws.natural(z[:1])[0, : device.n_law], rtol=1e-14)
 
 
 def test_the_state_at_the_beginning_is_not_predicted() -> None:

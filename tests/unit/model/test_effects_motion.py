@@ -13,7 +13,7 @@ from scipy.signal import lsim
 from shj_bayes.model.device import force_with_effects
 from shj_bayes.model.effects.effect import Base, catalogue
 from shj_bayes.model.effects.sliding import passes, slid_m, slid_mm, slid_since_mm
-from shj_bayes.model.history import ARRAYS, DELAYED, History, delayed, histories
+from shj_bayes.model.history import ARRAYS, DELAYED, History, delayed, histories, turn_s
 from shj_bayes.recording.motion import Block, Motion, exact_motion
 
 K, FY = 20.0, 80.0
@@ -168,7 +168,7 @@ def test_the_motion_of_a_moment_ago_lies_on_a_spline(lag: float):
     late, own = delayed(h, lag)
     then = np.clip(h.time_s - lag, h.time_s[0], h.time_s[-1])
     spline = CubicHermiteSpline(h.time_s, h.motion.displacement_mm, h.direction * h.speed_mm_s)
-    away = np.min(np.abs(then[:, None] - h.turn_s), axis=1) > 0.2  # beside a reversal each half-cycle keeps its side
+    away = np.min(np.abs(then[:, None] - turn_s(h)), axis=1) > 0.2  # beside a reversal each half-cycle keeps its side
     np.testing.assert_array_equal(late.time_s[own], h.time_s)
     np.testing.assert_allclose(late.motion.displacement_mm[own][away], spline(then)[away], atol=1e-9)
     np.testing.assert_allclose(late.speed_mm_s[own][away], np.abs(spline(then, 1))[away], atol=1e-9)
@@ -191,7 +191,7 @@ def test_each_half_cycle_is_followed_to_its_turning_point(lag: float):
     assert not np.isin(ends, own).any()
     np.testing.assert_array_equal(whole.motion.displacement_mm[ends], motion.turning_mm[1:])
     np.testing.assert_array_equal(whole.speed_mm_s[ends], 0.0)
-    np.testing.assert_allclose(whole.time_s[ends], h.turn_s + lag, atol=1e-12)
+    np.testing.assert_allclose(whole.time_s[ends], turn_s(h) + lag, atol=1e-12)
     assert np.all(np.diff(whole.time_s) >= 0)
     assert np.all(np.diff(whole.travel_m) >= (-1e-12 if lag == 0 else -1e-4))  # straight between samples, also there
     for a, b in pairwise(whole.motion.start):

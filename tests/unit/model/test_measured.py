@@ -12,7 +12,7 @@ from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.curve import Curve, curve_named
 from shj_bayes.model.device import DeviceModel, effects_named, meaning_of
 from shj_bayes.model.effects.effect import Base
-from shj_bayes.model.history import coordinate_of, delayed
+from shj_bayes.model.history import coordinate_of, delayed, on_scales_of
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.motion import exact_motion, table_1
 from shj_bayes.recording.recording import Column, Recording
@@ -51,7 +51,7 @@ def test_a_channel_is_followed_at_whatever_samples() -> None:
 
 def test_a_history_of_other_motion_stands_at_the_reference() -> None:
     tested = histories_of(runs_of([recording(45.0), recording(50.0)]))[0]
-    other = replace(tested, measured={}).on_scales_of(tested, tested.position_mm)
+    other = on_scales_of(replace(tested, measured={}), tested, tested.position_mm)
     values = coordinate_named(TENSION).values(other, BASE)
     every = np.concatenate([m + 3.0 * np.sin(tested.time_s / 50.0) for m in (45.0, 50.0)])
     np.testing.assert_allclose(values, np.median(every), atol=0.05)

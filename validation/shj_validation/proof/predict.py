@@ -7,7 +7,7 @@ import numpy as np
 
 from shj_bayes.model.device import effect_named, force_with_effects
 from shj_bayes.model.effects.effect import Base, Effect
-from shj_bayes.model.history import History, histories
+from shj_bayes.model.history import History, histories, on_scales_of
 from shj_bayes.model.parameters import FloatArray, run_name
 from shj_bayes.recording.motion import Motion
 
@@ -28,7 +28,7 @@ def carried_on(tested: Sequence[tuple[FloatArray, Motion]], new: tuple[FloatArra
     scales = histories([time for time, _ in tested], [motion for _, motion in tested])[0]
     last = histories([*(time for time, _ in tested), new[0]], [*(motion for _, motion in tested), new[1]])[-1]
     middle = float((scales.motion.displacement_mm - scales.position_mm)[0])
-    return last.on_scales_of(scales, new[1].displacement_mm - middle)
+    return on_scales_of(last, scales, new[1].displacement_mm - middle)
 
 
 def predict(
