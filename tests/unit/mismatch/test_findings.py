@@ -67,7 +67,7 @@ def test_sizes_are_those_there_are_where_the_smaller_set_was_not_fitted(search):
 
 def test_a_constant_is_as_large_as_it_is_also_where_the_law_could_make_up_for_it(monkeypatch):
     """The law makes no constant, but where it begins loaded its slopes may look like one."""
-    data = SimpleNamespace(used=np.ones(40), count=np.ones(40), scale_kN=10.0)
+    data = SimpleNamespace(blocks=SimpleNamespace(used=np.ones(40), n_samples=np.ones(40)), scale_kN=10.0)
     monkeypatch.setattr(sizes, "force_of", lambda *_: np.full((1, 40), -3.0))
     monkeypatch.setattr(sizes, "_law_slopes", lambda *_: np.ones((40, 1)))
     for name, size in (("added over constant", 0.3), ("taper", 0.0)):
@@ -134,7 +134,9 @@ def test_a_class_is_there_or_what_the_formulas_of_larger_ones_miss(search, monke
 def test_a_formula_that_leaves_more_of_a_curve_than_it_explains_is_not_its_name(size, away, is_name, monkeypatch):
     form = SimpleNamespace(of=SimpleNamespace(id="taper", action="capacity"), start=np.zeros(1))
     as_curve, as_form = _hypothesis("taper"), SimpleNamespace(members=(form,), log_weight=-50.0)
-    fitter = SimpleNamespace(data=None, forms=lambda h, place: [form], fitted=lambda *_: as_form)
+    fitter = SimpleNamespace(
+        metric=SimpleNamespace(data=None), forms=lambda h, place: [form], fitted=lambda *_: as_form
+    )
     out = SimpleNamespace(data=None, fitter=fitter, best_within=lambda key: -100.0)
     monkeypatch.setattr(sizes, "size_of", lambda data, h, place: size)
     monkeypatch.setattr(findings, "largest_size_of", lambda data, h, place: size)
@@ -205,7 +207,8 @@ def test_mechanisms_of_one_probability_stand_in_the_order_of_their_words():
     )
     classes = {word: SimpleNamespace(action="motion", coordinate=word) for word in words}
     fitter = SimpleNamespace(classes=classes, hidden=frozenset())
-    out = SimpleNamespace(fitter=fitter, data=SimpleNamespace(measured=()))
+    first = SimpleNamespace(history=SimpleNamespace(measured=()))
+    out = SimpleNamespace(fitter=fitter, data=SimpleNamespace(blocks=[first]))
     assert [one.id for one in content.family(out, answer)] == words
 
 
