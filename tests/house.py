@@ -18,8 +18,8 @@ SRC = ROOT / "src" / "shj_bayes"
 RESULTS = re.compile(r"\b(fit|diagnosis|campaign|population|summary|residual)\.json\b|\b(posterior|diagnosis)\.nc\b")
 READS = re.compile(r"\b(read_json|open_dataset|open_group|InferenceData|from_netcdf|json\.loads?)\(")
 LIMITS = {
-    "lines": 38_971,
-    "files": 174,
+    "lines": 38_804,
+    "files": 144,
     "dataclasses": 191,
     "class names that exist twice": 0,
     "methods of the largest class": 28,

@@ -11,7 +11,7 @@ import numpy as np
 
 from shj_bayes._util.files import damage_told, write_text
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.codes.en15129 import COMBINATION, LBDP, UBDP, kind_of
+from shj_bayes.margins.codes.bounds import COMBINATION, LBDP, UBDP, kind_of
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet, pool
 from shj_bayes.margins.spread import FACTORS, HIGH, LOW, MIDDLE, V_BETWEEN, V_COMMON, V_KNOWN, V_UNKNOWN, Key, Margin
 from shj_bayes.margins.uses import (

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from shj_bayes.errors import InferenceError, ReportError
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import History, Measured, histories
-from shj_bayes.model.noise.noise import noise_model
+from shj_bayes.model.noise import noise_model
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.recording.motion import Motion, alternating
