@@ -13,11 +13,11 @@ from shj_bayes.margins.export import SHARPEST, exponent_of_steel02, wen_exponent
 from shj_bayes.margins.history import sine
 from shj_bayes.margins.specimen import drive
 from shj_bayes.margins.spread import HIGH, LOGNORMAL, LOW, NORMAL, Sample, Spread, limit, sd_of_log, variation_of_log
-from shj_bayes.margins.virtual_test import of_readings, read_off
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import histories
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import published_rows
+from shj_bayes.population.readings import of_readings, read_off
 from shj_validation.paper_claims import pair_spread
 
 # EN 1990 Annex D, as printed

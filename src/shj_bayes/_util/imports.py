@@ -12,6 +12,7 @@ import os
 import pkgutil
 import shutil
 import sys
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -115,6 +116,19 @@ def without(*names: str) -> Iterator[None]:
     finally:
         for name in hidden:
             sys.modules.pop(name, None)
+
+
+def arviz() -> Any:
+    """ArviZ, before and after its rewrite; without the announcement of version 0.23, and without numba.
+
+    It takes longer to import than all else.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=r"\s*ArviZ is undergoing a major refactor", category=FutureWarning)
+        library: Any = importlib.import_module("arviz")
+    if hasattr(library, "Numba"):  # version 1 has none
+        library.Numba.disable_numba()  # it compiles its variance anew in every process, longer than it ever saves here
+    return library
 
 
 def import_elsewhere() -> None:

@@ -30,10 +30,11 @@ from shj_bayes.margins.uses import (
     WANTED_CAPACITY,
     WANTED_CLAMPING,
 )
-from shj_bayes.margins.virtual_test import TABLE, CyclePoint, VirtualTestResult
+from shj_bayes.margins.virtual_test import CyclePoint, VirtualTestResult
 from shj_bayes.population.device import RangeTested
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.quantities import HIGHEST, LOWEST
+from shj_bayes.population.readings import TABLE
 from shj_bayes.population.results import PopulationRecord, draws_of, fits_of
 from shj_bayes.results import codec
 from shj_bayes.results.campaign import Connection
