@@ -8,7 +8,7 @@ from dataclasses import replace
 from shj_bayes.inference.binning import Run
 from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.model.device import DeviceModel, effects_named
-from shj_bayes.model.noise.noise import DEFAULT, noise_model
+from shj_bayes.model.noise import DEFAULT, noise_model
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.motion import exact_motion, table_1

@@ -16,7 +16,7 @@ from devices import device, n_samples
 from timing import best
 
 from shj_bayes.inference.start import find_start
-from shj_bayes.model.noise.noise import noise_models
+from shj_bayes.model.noise import noise_models
 
 N_SETS = 22
 

@@ -47,16 +47,7 @@ from shj_bayes.margins.codes.code import Given, catalogue
 from shj_bayes.margins.specimen import Belief, Specimen
 from shj_bayes.margins.spread import HIGH, LOW, Sample, common_spread, of_set
 from shj_bayes.margins.uses import OneSet, of_many
-from shj_bayes.margins.virtual_test import (
-    LEAST_ERROR,
-    Readings,
-    counted_from,
-    of_readings,
-    own_readings,
-    pooled,
-    read_off,
-    virtual_tests,
-)
+from shj_bayes.margins.virtual_test import LEAST_ERROR, own_readings, virtual_tests
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
@@ -65,6 +56,7 @@ from shj_bayes.population.device import NO_TAGS
 from shj_bayes.population.hierarchy import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import NewDevice
 from shj_bayes.population.quantities import other_priors, population_prior
+from shj_bayes.population.readings import Readings, counted_from, of_readings, pooled, read_off
 from shj_bayes.results.campaign import Connection
 from shj_validation.proof.cases import Concealed, Key, stated_key
 from shj_validation.proof.device import Device

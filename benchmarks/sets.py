@@ -21,7 +21,7 @@ import numpy as np
 
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.diagnosis import diagnose
-from shj_bayes.mismatch.sets import DeviceEvidence, common_to
+from shj_bayes.mismatch.sets import DiagnosedDevice, common_to
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions
@@ -111,7 +111,7 @@ def show(path: Path, which: tuple[int, bool]) -> None:
     rig = f"{key['protocol']} {key['rate_Hz']:g} Hz {key['reversal']}, noise {noise} of Fy"
     seconds = np.median([row["seconds"] for row in rows])
     print(f"set {which[0]} {'with' if which[1] else 'without'}: {rig}; {seconds:.1f} s; alone: {', '.join(alone)}")
-    for one in common_to([DeviceEvidence(from_json(EvidenceRecord, row["evidence"])) for row in rows])[0]:
+    for one in common_to([DiagnosedDevice(from_json(EvidenceRecord, row["evidence"])) for row in rows])[0]:
         if one.probability >= 0.05:
             sizes = [row["evidence"]["size_percent"].get(str(one.id), 0.0) for row in rows]
             each = " ".join(f"{p:.2f}" for p in one.of_devices)

@@ -31,10 +31,11 @@ from shj_bayes.app.campaign import run_campaign
 from shj_bayes.app.manifest import read_manifest
 from shj_bayes.margins.files import write_margins
 from shj_bayes.margins.sheet import margins, pool
-from shj_bayes.margins.virtual_test import TABLE, VirtualTestResult
+from shj_bayes.margins.virtual_test import VirtualTestResult
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.population.device import Tags
 from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
+from shj_bayes.population.readings import TABLE
 from shj_bayes.recording.motion import Block
 from shj_bayes.recording.recording import write_csv
 from shj_bayes.report.margins_page import render_margins

@@ -11,7 +11,7 @@ from shj_bayes.app import campaign
 from shj_bayes.inference.binning import Run
 from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.model.device import DeviceModel, effects_named
-from shj_bayes.model.noise.noise import DEFAULT, noise_model
+from shj_bayes.model.noise import DEFAULT, noise_model
 from shj_bayes.model.parameters import base_and_run
 from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device

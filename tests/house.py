@@ -18,13 +18,13 @@ SRC = ROOT / "src" / "shj_bayes"
 RESULTS = re.compile(r"\b(fit|diagnosis|campaign|population|summary|residual)\.json\b|\b(posterior|diagnosis)\.nc\b")
 READS = re.compile(r"\b(read_json|open_dataset|open_group|InferenceData|from_netcdf|json\.loads?)\(")
 LIMITS = {
-    "lines": 38_953,
-    "files": 174,
-    "dataclasses": 193,
+    "lines": 38_747,
+    "files": 142,
+    "dataclasses": 190,
     "class names that exist twice": 0,
     "methods of the largest class": 12,
-    "modules that open a result file": 2,
-    "layers of the import contract": 13,
+    "modules that open a result file": 1,
+    "layers of the import contract": 12,
     "modules in circles of imports": 0,
 }
 

@@ -31,10 +31,9 @@ from shj_bayes.report.browse import open_page, page_of
 from shj_bayes.report.diagnosis_words import sentences
 from shj_bayes.results.campaign import CampaignRecord, read_campaign
 from shj_bayes.results.codec import from_json, to_json
-from shj_bayes.results.device import read_whole
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
-from shj_bayes.results.store import has, read
+from shj_bayes.results.store import has, read, read_whole
 from shj_validation.paper_claims import paper_claims
 
 
@@ -92,9 +91,7 @@ class FitResult(_Result):
 
         An ``arviz.InferenceData`` up to ArviZ 0.23, an ``xarray.DataTree`` from version 1 on.
         """
-        from shj_bayes.inference.quiet_arviz import az  # noqa: PLC0415  takes longer to import than all else
-
-        return read_whole(self.folder, az)
+        return read_whole(self.folder)
 
     @property
     def draws(self) -> pd.DataFrame:

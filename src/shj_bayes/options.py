@@ -139,7 +139,7 @@ class FitOptions:
     def device_model(self, n_runs: int, priors: Priors | None) -> DeviceModel:
         """Model of a device with so many runs; without priors those of the default family stand in."""
         from shj_bayes.model.device import DeviceModel, effects_named
-        from shj_bayes.model.noise.noise import noise_model
+        from shj_bayes.model.noise import noise_model
         from shj_bayes.model.priors import read_priors
 
         return DeviceModel(

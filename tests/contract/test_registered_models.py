@@ -10,11 +10,11 @@ from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
 from shj_bayes.inference.start import find_start
 from shj_bayes.mismatch.diagnosis import diagnose
+from shj_bayes.model import noise
 from shj_bayes.model.device import DeviceModel, meaning_of
 from shj_bayes.model.filter import Timing, log_density, simulate
 from shj_bayes.model.law import BETA_RANGE, VARIANTS, force_of_laws
-from shj_bayes.model.noise import noise
-from shj_bayes.model.noise.noise import (
+from shj_bayes.model.noise import (
     SIGMA,
     Noise,
     NoiseParameter,

@@ -1,8 +1,8 @@
 """Every snippet of the documents runs: commands through the parser and the rooms, Python as it stands.
 
-Long work is made short in two ways that leave the words of the documents as they are: the recordings beside them are
-small, and the samplers of devices and of populations are stopped after few steps. What that leaves out is shown by
-``make demo`` and the slow tests.
+Long work is made short in ways that leave the words of the documents as they are: the recordings beside them are
+small, samplers are stopped after few steps, a plan weighs three patterns, and the published tables are three sets of
+them. What that leaves out is shown by ``make demo``, the slow tests, and the tests of the rooms.
 """
 
 import json
@@ -17,10 +17,13 @@ import pytest
 from click.testing import CliRunner
 from scipy.io import savemat
 
-from shj_bayes.app.device import write_simulated
+from shj_bayes.app import design, device
 from shj_bayes.cli import EXAMPLES, main
 from shj_bayes.inference import convergence
 from shj_bayes.model.simulate import Truth
+from shj_bayes.planning import protocol
+from shj_bayes.population.device import published_devices
+from shj_bayes.recording.motion import Block
 from shj_bayes.report.browse import find_browser
 
 TOP = Path(__file__).resolve().parents[2]
@@ -39,6 +42,8 @@ PAGES = [
 ELSEWHERE = ("prove", "demo", "bench")
 RUN_FIRST = ("simulate", "check", "fit", "diagnose", "tables", "campaign")
 TRUTH = Truth(gamma=1 / 60)
+BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2), Block(48.0, 0.034, 3))
+SETS = ("Zinc 70", "Zinc 70 corroded", "Zinc 100")  # a pair of each kind that is compared
 MANIFEST = """
 schema = "shj-bayes/campaign/1"
 name = "Spring"
@@ -82,9 +87,24 @@ def commands() -> list[str]:
 def desk(tmp_path_factory: pytest.TempPathFactory, no_workers: None) -> Iterator[Path]:
     """A folder with the files that the documents speak of; chains are cut short."""
     folder = tmp_path_factory.mktemp("desk")
+    few = tuple(d for d in published_devices() if d.set_name in SETS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(device, "table_1", lambda _: BLOCKS)
+        patch.setattr(protocol, "PATTERNS", dict(list(protocol.PATTERNS.items())[:3]))
+        patch.setattr(protocol, "MOST_TIMES", 2)
+        patch.setattr(design, "published_devices", lambda: few)
+        for limit, loose in (("RHAT_LIMIT", 2.0), ("ESS_LIMIT", 100.0), ("TAU_LIMIT", 1.0)):
+            patch.setattr(convergence, limit, loose)
+        patch.chdir(folder)
+        write_files(folder)
+        yield folder
+
+
+def write_files(folder: Path) -> None:
+    """Write the files that the documents speak of."""
     for number, stem in enumerate(("run", "plain-run"), start=3):
-        made = [p for p in write_simulated(folder / "x", TRUTH, seed=number, rate_Hz=3.0) if p.suffix == ".csv"]
-        for run, path in enumerate(made, start=1):
+        made = device.write_simulated(folder / "x", TRUTH, seed=number, rate_Hz=3.0)
+        for run, path in enumerate(made[:2], start=1):
             path.rename(folder / f"{stem}{run}.csv")
     rows = [line.split(",") for line in (folder / "run1.csv").read_text(encoding="utf-8").splitlines()[2:]]
     texts = [f"{1000 * float(t):.6g},0,0,0,{x},0,{1000 * float(f):.7g}" for t, x, f in rows]
@@ -106,11 +126,6 @@ def desk(tmp_path_factory: pytest.TempPathFactory, no_workers: None) -> Iterator
     (folder / "my-device.toml").write_text(priors, encoding="utf-8")
     (folder / "made").mkdir()
     (folder / "made" / "campaign.toml").write_text(MANIFEST.replace('"run', '"../run').replace('"plain', '"../plain'))
-    with pytest.MonkeyPatch.context() as patch:
-        for limit, loose in (("RHAT_LIMIT", 2.0), ("ESS_LIMIT", 100.0), ("TAU_LIMIT", 1.0)):
-            patch.setattr(convergence, limit, loose)
-        patch.chdir(folder)
-        yield folder
 
 
 def run(line: str) -> str | None:

@@ -18,9 +18,9 @@ from shj_bayes.margins.basis import (
     is_part,
     sliding_force_bounds,
 )
-from shj_bayes.margins.codes import asce7, en15129, nz
+from shj_bayes.margins.codes.bounds import ageing, warning, with_floor
 from shj_bayes.margins.codes.code import Given, catalogue
-from shj_bayes.margins.codes.iso16269_6 import one_sided, two_sided
+from shj_bayes.margins.codes.tolerance import one_sided, two_sided
 from shj_bayes.margins.spread import HIGH, LOW, Sample, between_sets, of_set
 from shj_bayes.options import PLAIN, MarginOptions
 from shj_bayes.population.predict import NewDevice
@@ -176,8 +176,8 @@ def test_tolerance_limits_of_both_sides_and_of_a_confidence_of_three_quarters():
 
 def test_asce7_least_spread_is_assumed_where_the_tests_show_less():
     """Factors of 0.95 and 1.08 are nearer to 1 than 0.85 and 1.2 (dampers)."""
-    assert asce7.with_floor(Bounds(0.95, 1.08)) == Bounds(0.85, 1.2)
-    assert asce7.with_floor(Bounds(0.5897, 1.3283)) == Bounds(0.5897, 1.3283)
+    assert with_floor(Bounds(0.95, 1.08)) == Bounds(0.85, 1.2)
+    assert with_floor(Bounds(0.5897, 1.3283)) == Bounds(0.5897, 1.3283)
 
 
 def test_asce7_bounds_with_the_floor():
@@ -227,7 +227,7 @@ def test_en15129_does_not_shrink_what_was_measured():
     first = rows("en15129", MarginOptions(importance="I"))
     assert first["EN 15129 LBDP, importance class I", LOW].value == pytest.approx(42.84)
     assert first["EN 15129 UBDP, importance class I", HIGH].value == pytest.approx(99.91)
-    full = en15129.ageing(Environment(Bounds(0.5, 1.0), Bounds(0.5, 1.0), "exactly known"), "I")
+    full = ageing(Environment(Bounds(0.5, 1.0), Bounds(0.5, 1.0), "exactly known"), "I")
     assert full.low == 0.5
 
 
@@ -238,7 +238,7 @@ def test_nz_equivalents_are_of_the_delivered_force_and_warn_beside_practice():
     assert (first.value, first.warning) == (0.825, "above 0.70 of practice")
     second = found["phi equivalent, after a first earthquake", LOW]
     assert (second.value, second.warning) == (0.65, "0.70 not supported")
-    assert [nz.warning(value, HIGH) for value in (6.8, 1.40)] == ["1.40 not supported", ""]
+    assert [warning(value, HIGH) for value in (6.8, 1.40)] == ["1.40 not supported", ""]
     over = found["phi_o equivalent", HIGH]
     assert (over.value, over.warning) == (1.2125, "below 1.40 of practice")
 

@@ -8,16 +8,16 @@ from scipy import stats
 
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import Bounds
-from shj_bayes.margins.codes import asce7, en1990, en15129, iso16269_6, nz
+from shj_bayes.margins.codes import bounds, tolerance
 from shj_bayes.margins.export import SHARPEST, exponent_of_steel02, wen_exponent
 from shj_bayes.margins.history import sine
 from shj_bayes.margins.specimen import drive
 from shj_bayes.margins.spread import HIGH, LOGNORMAL, LOW, NORMAL, Sample, Spread, limit, sd_of_log, variation_of_log
-from shj_bayes.margins.virtual_test import of_readings, read_off
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import histories
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import published_rows
+from shj_bayes.population.readings import of_readings, read_off
 from shj_validation.paper_claims import pair_spread
 
 # EN 1990 Annex D, as printed
@@ -73,33 +73,33 @@ PRINTED_TWO_SIDED = {  # Statistics for Environmental Engineers, Table 21.1, con
 
 @pytest.mark.parametrize("n", D1_KNOWN)
 def test_en1990_variation_known(n):
-    assert en1990.factor_known(n) == pytest.approx(D1_KNOWN[n], abs=0.02)
-    assert en1990.factor_known(n, en1990.DESIGN) == pytest.approx(D2_KNOWN[n], abs=0.03)
+    assert tolerance.factor_known(n) == pytest.approx(D1_KNOWN[n], abs=0.02)
+    assert tolerance.factor_known(n, tolerance.DESIGN) == pytest.approx(D2_KNOWN[n], abs=0.03)
     if n in D1_KNOWN_EXACT:
-        assert en1990.factor_known(n) == pytest.approx(D1_KNOWN_EXACT[n], abs=1e-4)
+        assert tolerance.factor_known(n) == pytest.approx(D1_KNOWN_EXACT[n], abs=1e-4)
 
 
 @pytest.mark.parametrize("n", D1_UNKNOWN_EXACT)
 def test_en1990_variation_unknown(n):
-    assert en1990.factor_unknown(n) == pytest.approx(D1_UNKNOWN_EXACT[n], abs=1e-4)
+    assert tolerance.factor_unknown(n) == pytest.approx(D1_UNKNOWN_EXACT[n], abs=1e-4)
     if n in D1_UNKNOWN:
-        assert en1990.factor_unknown(n) == pytest.approx(D1_UNKNOWN[n], abs=0.02)
+        assert tolerance.factor_unknown(n) == pytest.approx(D1_UNKNOWN[n], abs=0.02)
     if n in D2_UNKNOWN:
-        assert en1990.factor_unknown(n, en1990.DESIGN) == pytest.approx(D2_UNKNOWN[n], abs=0.03)
-        assert en1990.factor_unknown(n, en1990.DESIGN) == pytest.approx(D2_UNKNOWN_EXACT[n], abs=6e-4)
+        assert tolerance.factor_unknown(n, tolerance.DESIGN) == pytest.approx(D2_UNKNOWN[n], abs=0.03)
+        assert tolerance.factor_unknown(n, tolerance.DESIGN) == pytest.approx(D2_UNKNOWN_EXACT[n], abs=6e-4)
 
 
 def test_en1990_limits_and_design_level():
-    assert en1990.factor_known(10**9) == pytest.approx(1.6449, abs=1e-4)
+    assert tolerance.factor_known(10**9) == pytest.approx(1.6449, abs=1e-4)
     fractile = float(stats.norm.sf(3.04))
-    found = [en1990.factor_unknown(n, fractile) for n in (4, 5, 6, 8, 10)]
+    found = [tolerance.factor_unknown(n, fractile) for n in (4, 5, 6, 8, 10)]
     assert found == pytest.approx([10.784, 7.514, 6.129, 4.923, 4.387], abs=1e-3)
 
 
 def test_en1990_pooled_spread_of_the_paper():
     """Factors and bands about a coating's mean of 2.7, from the published pairs."""
-    assert en1990.factor_unknown(2, degrees=5) == pytest.approx(2.4679, abs=1e-4)
-    k = en1990.factor_unknown(2, degrees=10)
+    assert tolerance.factor_unknown(2, degrees=5) == pytest.approx(2.4679, abs=1e-4)
+    k = tolerance.factor_unknown(2, degrees=10)
     assert k == pytest.approx(2.2198, abs=1e-4)
     rows = published_rows()
     wanted = {"Fy1": (0.47, 2.14), "Fy2": (0.33, 3.06), "ratio": (0.51, 1.96), "K": (0.54, 1.84)}
@@ -123,37 +123,37 @@ def test_en1990_values():
     assert sd_of_log(0.1) == pytest.approx(math.sqrt(math.log(1.01)))
     assert variation_of_log(sd_of_log(0.37)) == pytest.approx(0.37)
     with pytest.raises(PopulationError, match="two for the spread"):
-        en1990.factor_unknown(1)
+        tolerance.factor_unknown(1)
 
 
 @pytest.mark.parametrize("n", LIMITS)
 def test_tolerance_factors(n):
-    found = [iso16269_6.one_sided(n, *p) for p in ONE] + [iso16269_6.two_sided(n, p, 0.95) for p in TWO]
+    found = [tolerance.one_sided(n, *p) for p in ONE] + [tolerance.two_sided(n, p, 0.95) for p in TWO]
     assert found == pytest.approx(LIMITS[n], abs=1.01e-4)
 
 
 @pytest.mark.parametrize("n", PRINTED_TWO_SIDED)
 def test_two_sided_factors_as_printed(n):
-    found = [iso16269_6.two_sided(n, p, 0.95) for p in TWO]
+    found = [tolerance.two_sided(n, p, 0.95) for p in TWO]
     assert found == pytest.approx(PRINTED_TWO_SIDED[n], abs=0.0051)
 
 
 def test_tolerance_worked_example():
     """NIST, n = 43, 90 % with 99 % confidence; the handbook's own k2 (Howe) and k1 (Natrella) are approximations."""
-    assert iso16269_6.two_sided(43, 0.90, 0.99) == pytest.approx(2.2228, abs=1e-4)
-    assert iso16269_6.one_sided(43, 0.90, 0.99) == pytest.approx(1.8740, abs=1e-4)
+    assert tolerance.two_sided(43, 0.90, 0.99) == pytest.approx(2.2228, abs=1e-4)
+    assert tolerance.one_sided(43, 0.90, 0.99) == pytest.approx(1.8740, abs=1e-4)
     assert pytest.approx((97.010576, 97.12942), abs=1e-5) == (97.07 - 2.2173 * 0.0268, 97.07 + 2.2173 * 0.0268)
 
 
 def test_tolerance_limits_for_many_devices_and_known_spread():
-    assert iso16269_6.two_sided(10**6, 0.95, 0.95) == pytest.approx(1.96, abs=0.005)
-    pooled = iso16269_6.one_sided(2, 0.95, 0.95, 10**7)
+    assert tolerance.two_sided(10**6, 0.95, 0.95) == pytest.approx(1.96, abs=0.005)
+    pooled = tolerance.one_sided(2, 0.95, 0.95, 10**7)
     assert pooled == pytest.approx(1.6449 + 1.6449 / math.sqrt(2), abs=1e-3)
 
 
 def test_common_variance_covers_what_it_says():
     """Ten sets of two with one variance: the limits of set 1 hold 95 % of devices in 95 % of campaigns."""
-    one, two = iso16269_6.one_sided(2, 0.95, 0.95, 10), iso16269_6.two_sided(2, 0.90, 0.95, 10)
+    one, two = tolerance.one_sided(2, 0.95, 0.95, 10), tolerance.two_sided(2, 0.90, 0.95, 10)
     x = np.random.default_rng(41).standard_normal((40_000, 10, 2))
     mean, sd = x[:, 0].mean(axis=1), np.sqrt(x.var(axis=2, ddof=1).mean(axis=1))
     held = stats.norm.sf(mean - one * sd) >= 0.95
@@ -161,37 +161,37 @@ def test_common_variance_covers_what_it_says():
     error = math.sqrt(0.95 * 0.05 / 40_000)
     assert held.mean() == pytest.approx(0.95, abs=4 * error)
     assert both.mean() == pytest.approx(0.95, abs=4 * error)
-    alone = iso16269_6.one_sided(2, 0.95, 0.95)  # the factor for a set's own spread must not be right here
+    alone = tolerance.one_sided(2, 0.95, 0.95)  # the factor for a set's own spread must not be right here
     assert (stats.norm.sf(mean - alone * sd) >= 0.95).mean() > 0.99
 
 
 def test_tolerance_refuses_what_cannot_be():
     with pytest.raises(PopulationError, match="two devices of one set"):
-        iso16269_6.one_sided(1, 0.95, 0.95)
+        tolerance.one_sided(1, 0.95, 0.95)
     with pytest.raises(PopulationError, match="between 0 and 1"):
-        iso16269_6.two_sided(5, 95.0, 0.95)
+        tolerance.two_sided(5, 95.0, 0.95)
 
 
 def test_asce7():
-    total = asce7.modification(Bounds(1.0, 1.56), Bounds(0.7, 1.3), Bounds(0.85, 1.15))
+    total = bounds.modification(Bounds(1.0, 1.56), Bounds(0.7, 1.3), Bounds(0.85, 1.15))
     assert (total.low, total.high) == pytest.approx((0.595, 2.1229), abs=1e-4)
-    assert asce7.with_floor(Bounds(0.9, 1.1)) == Bounds(0.85, 1.2)
-    assert asce7.with_floor(Bounds(0.5, 2.0)) == Bounds(0.5, 2.0)
+    assert bounds.with_floor(Bounds(0.9, 1.1)) == Bounds(0.85, 1.2)
+    assert bounds.with_floor(Bounds(0.5, 2.0)) == Bounds(0.5, 2.0)
     assert Bounds.around(0.8, 1.3) == Bounds(0.8, 1.3)
     with pytest.raises(PopulationError, match="lower <= 1"):
         Bounds(1.1, 1.2)
 
 
 def test_en15129():
-    assert [en15129.combined(2.0, c) for c in ("III", "II", "I")] == pytest.approx([1.9, 1.7, 1.6])
+    assert [bounds.combined(2.0, c) for c in ("III", "II", "I")] == pytest.approx([1.9, 1.7, 1.6])
     with pytest.raises(PopulationError, match="I, II or III"):
-        en15129.combined(1.0, "IV")
+        bounds.combined(1.0, "IV")
 
 
 def test_new_zealand_practice():
-    assert nz.equivalent_factors(56.0, 112.0, 80.0) == pytest.approx((nz.PRACTICE_PHI, nz.PRACTICE_PHI_O))
+    assert bounds.equivalent_factors(56.0, 112.0, 80.0) == pytest.approx((bounds.PRACTICE_PHI, bounds.PRACTICE_PHI_O))
     with pytest.raises(PopulationError, match="above zero"):
-        nz.equivalent_factors(1.0, 2.0, 0.0)
+        bounds.equivalent_factors(1.0, 2.0, 0.0)
 
 
 def of_a_sine(K, Fy, beta, gamma):

@@ -14,8 +14,7 @@ from page_tools import Page, check_safe, folded
 
 from shj_bayes.app.device import diagnosis_text
 from shj_bayes.errors import ReportError
-from shj_bayes.report.diagnosis_numbers import read_diagnosis, signed_means
-from shj_bayes.report.diagnosis_page import draw, moves, render_diagnosis
+from shj_bayes.report.diagnosis_page import draw, moves, render_diagnosis, signed_means
 from shj_bayes.report.diagnosis_words import (
     VERDICTS,
     along_words,
@@ -23,6 +22,7 @@ from shj_bayes.report.diagnosis_words import (
     fluctuation_words,
     over_words,
     per_cent,
+    read_diagnosis,
     sentences,
     shape_columns,
     spaced,

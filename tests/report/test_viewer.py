@@ -9,7 +9,7 @@ import pytest
 from made_diagnosis import write
 
 from shj_bayes.report import browse as viewer
-from shj_bayes.report.diagnosis_numbers import read_diagnosis
+from shj_bayes.report.diagnosis_words import read_diagnosis
 from shj_bayes.report.numbers import numbers_of
 from shj_bayes.report.page import LOOPS, policy, script
 from shj_bayes.results.device import DeviceData

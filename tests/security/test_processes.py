@@ -79,9 +79,10 @@ def test_only_our_own_processes_leave_the_current_folder_out(monkeypatch):
 
 SETTINGS = """
 import shj_bayes.model.law, matplotlib, numba, os
-from shj_bayes.inference.quiet_arviz import az
+from shj_bayes._util.imports import arviz
 numba.njit(lambda x: x + 1)(1)
-print(os.getcwd(), matplotlib.rcParams["text.usetex"], az.rcParams["data.save_warmup"], repr(numba.config.CACHE_DIR))
+saved = arviz().rcParams["data.save_warmup"]
+print(os.getcwd(), matplotlib.rcParams["text.usetex"], saved, repr(numba.config.CACHE_DIR))
 """
 
 

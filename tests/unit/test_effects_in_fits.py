@@ -11,7 +11,7 @@ from shj_bayes.cli import main
 from shj_bayes.errors import CheckpointError, InferenceError, ModelError
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import histories
-from shj_bayes.model.noise.noise import noise_models
+from shj_bayes.model.noise import noise_models
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.options import FitOptions

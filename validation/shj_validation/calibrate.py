@@ -46,7 +46,7 @@ from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.law import force
-from shj_bayes.model.noise.noise import DEFAULT, noise_model
+from shj_bayes.model.noise import DEFAULT, noise_model
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.motion import Block, exact_motion, table_1

@@ -19,7 +19,7 @@ from shj_bayes.inference.sampler import SamplingPlan
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.filter import simulate
 from shj_bayes.model.history import histories
-from shj_bayes.model.noise.noise import noise_model
+from shj_bayes.model.noise import noise_model
 from shj_bayes.model.parameters import LAW_PARAMETERS, base_and_run
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.motion import Block, exact_motion, table_1

@@ -12,6 +12,8 @@ import os
 import pkgutil
 import shutil
 import sys
+import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib.abc import MetaPathFinder
@@ -116,25 +118,32 @@ def without(*names: str) -> Iterator[None]:
             sys.modules.pop(name, None)
 
 
+def arviz() -> Any:
+    """ArviZ, before and after its rewrite; without the announcement of version 0.23, and without numba.
+
+    It takes longer to import than all else.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=r"\s*ArviZ is undergoing a major refactor", category=FutureWarning)
+        library: Any = importlib.import_module("arviz")
+    if hasattr(library, "Numba"):  # version 1 has none
+        library.Numba.disable_numba()  # it compiles its variance anew in every process, longer than it ever saves here
+    return library
+
+
 def import_elsewhere() -> None:
     """Put the rule into force for this process."""
     if not any(isinstance(finder, _Elsewhere) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Elsewhere())
 
 
-def constants(package: ModuleType, constant: str) -> Iterator[tuple[str, Any]]:
-    """Modules of a package that hold a constant: name of the module and its value, by name."""
-    for module in pkgutil.iter_modules(package.__path__):
-        value = getattr(importlib.import_module(f"{package.__name__}.{module.name}"), constant, None)
-        if value is not None:
-            yield module.name, value
-
-
-def discovered(package: ModuleType, constant: str, error: type[ShjError]) -> Iterator[Any]:
-    """Value of a constant such as ``EFFECT`` in every module that holds one; `error` where its id is not its file's."""
-    folder = package.__name__.rpartition(".")[2]
-    for name, value in constants(package, constant):
-        if value.id != name:
-            what = constant.lower()
-            raise error(f"{folder}/{name}.py holds {what} '{value.id}'; the file carries the {what}'s id")
-        yield value
+def discovered(package: ModuleType, constant: str) -> list[Any]:
+    """Values of the tuples of that name, such as ``EFFECTS``, in all modules of a package; no two of one id."""
+    modules = (
+        importlib.import_module(f"{package.__name__}.{one.name}") for one in pkgutil.iter_modules(package.__path__)
+    )
+    found = [value for module in modules for value in getattr(module, constant, ())]
+    twice = [name for name, n in Counter(value.id for value in found).items() if n > 1]
+    if twice:
+        raise ShjError(f"{package.__name__}: {', '.join(twice)} stands in {constant} twice; an id is that of one alone")
+    return found

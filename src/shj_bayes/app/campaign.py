@@ -122,9 +122,8 @@ def _together(
                 devices.append((o.device.set_name, read_diagnosed(folder / place / DIAGNOSIS, place)))
             except ShjError as error:
                 failed[place] = str(error)
-        groups = together(devices)
-        enter = {place: effects for one in groups if one.set_name for place, effects in one.effects.items()}
-        return {"together": [to_json(one.record) for one in groups], "enter": enter, "unread": failed}
+        groups, enter = together(devices)
+        return {"together": to_json(groups), "enter": enter, "unread": failed}
 
     files = [
         (o.device.set_name, digests(folder, [f"{o.device.folder}/{DIAGNOSIS}/{DiagnosisRecord.FILE}"]))

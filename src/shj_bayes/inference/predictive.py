@@ -9,7 +9,7 @@ from shj_bayes.inference.binning import BinnedRun, Run
 from shj_bayes.inference.likelihood import Likelihood, variance_over_speed
 from shj_bayes.model.filter import Timing, density_and_zero, table_of
 from shj_bayes.model.history import thinned
-from shj_bayes.model.noise.noise import Noise, Values
+from shj_bayes.model.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import IntArray
 

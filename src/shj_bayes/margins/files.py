@@ -11,7 +11,7 @@ import numpy as np
 
 from shj_bayes._util.files import damage_told, write_text
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.codes.en15129 import COMBINATION, LBDP, UBDP, kind_of
+from shj_bayes.margins.codes.bounds import COMBINATION, LBDP, UBDP, kind_of
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet, pool
 from shj_bayes.margins.spread import FACTORS, HIGH, LOW, MIDDLE, V_BETWEEN, V_COMMON, V_KNOWN, V_UNKNOWN, Key, Margin
 from shj_bayes.margins.uses import (
@@ -30,10 +30,11 @@ from shj_bayes.margins.uses import (
     WANTED_CAPACITY,
     WANTED_CLAMPING,
 )
-from shj_bayes.margins.virtual_test import TABLE, CyclePoint, VirtualTestResult
+from shj_bayes.margins.virtual_test import CyclePoint, VirtualTestResult
 from shj_bayes.population.device import RangeTested
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.quantities import HIGHEST, LOWEST
+from shj_bayes.population.readings import TABLE
 from shj_bayes.population.results import PopulationRecord, draws_of, fits_of
 from shj_bayes.results import codec
 from shj_bayes.results.campaign import Connection

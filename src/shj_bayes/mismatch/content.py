@@ -27,7 +27,6 @@ from shj_bayes.results.diagnosis import (
     DependenceRecord,
     DiagnosisVerdict,
     DrawsInShort,
-    Dropped,
     EffectParameter,
     EffectRecord,
     EnergyRecord,
@@ -348,15 +347,7 @@ def heldout(shown: Proven) -> HeldOutRecord:
         se=gain.elpd_se,
         rmse_se_kN=gain.rmse_se_kN,
         n_blocks=n,
-        dropped=tuple(
-            Dropped(
-                class_=one.of,
-                elpd_gain=_number(one.gain.elpd),
-                without_kN=_number(one.gain.before_kN),
-                with_kN=_number(one.gain.after_kN),
-            )
-            for one in shown.dropped
-        ),
+        dropped=shown.dropped,
     )
 
 
@@ -375,7 +366,7 @@ def next_test(shown: Proven, *, quick: bool) -> str | None:
     out, answer = shown.out, shown.answer
     known = {c.of.coordinate: c.variant.effect for c in out.fitter.looked} | catalogue()
     if answer.reason is Reason.NOT_BORNE_OUT:
-        names = mechanisms(out, answer, shown.dropped[-1].of)
+        names = mechanisms(out, answer, shown.dropped[-1].class_)
         return known[names[0]].next_test if names and names[0] in known else None
     if answer.verdict is not DiagnosisVerdict.FAMILY:
         return None
@@ -389,7 +380,7 @@ def next_test(shown: Proven, *, quick: bool) -> str | None:
 
 def candidates(shown: Proven) -> tuple[CandidateRecord, ...]:
     """Every effect of the catalogue, with what its class gains on the base law alone and in the answer."""
-    out, answer, dropped = shown.out, shown.answer, {one.of for one in shown.dropped}
+    out, answer, dropped = shown.out, shown.answer, {one.class_ for one in shown.dropped}
     base = out.found[frozenset()]
     gains: dict[str, float] = {}
     sizes: dict[str, float] = {}

@@ -14,7 +14,8 @@ from shj_bayes.mismatch.hypothesis import ALPHA, Hypothesis, without
 from shj_bayes.mismatch.laplace import Laplace, laplace, laplace_under
 from shj_bayes.mismatch.moves import Search
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.results.diagnosis import DiagnosisVerdict
+from shj_bayes.results.codec import finite
+from shj_bayes.results.diagnosis import DiagnosisVerdict, Dropped
 
 FEW_CYCLES = 12  # with fewer cycles than this, half-cycles are left out
 PARTS = 8  # the model is fitted anew so many times, each time without every eighth cycle
@@ -126,14 +127,6 @@ def held_out(metric: ErrorModel, state: Laplace) -> HeldOut:
     return HeldOut(residual, np.asarray(squares, dtype=np.float64), count, density)
 
 
-@dataclass(frozen=True)
-class DroppedMember:
-    """A dependence that was found and does not improve what was left out."""
-
-    of: str  # id of its class
-    gain: Gain  # of the model with it over the model without it
-
-
 @dataclass(frozen=True, eq=False)
 class Proven:
     """An answer whose dependences all improve what was left out."""
@@ -146,7 +139,7 @@ class Proven:
     before: Laplace
     after: Laplace
     held: tuple[HeldOut, HeldOut]  # of both
-    dropped: tuple[DroppedMember, ...] = ()  # in the order in which they were dropped
+    dropped: tuple[Dropped, ...] = ()  # in the order in which they were dropped
 
     @property
     def gain(self) -> Gain:
@@ -161,10 +154,10 @@ def proven(out: Search, tell: Callable[[str], None] = lambda _: None) -> Proven:
     without it, and it does not come back: each is dropped once at most. What is then still missing, but has no
     dependence left that improves anything, is unknown.
     """
-    dropped: tuple[DroppedMember, ...] = ()
+    dropped: tuple[Dropped, ...] = ()
     missing = False
     while True:
-        answer = answer_of(out, [one.of for one in dropped])
+        answer = answer_of(out, [one.class_ for one in dropped])
         tell("predicting cycles that were left out")
         shown = _left_out(out, answer)
         if not dropped:
@@ -172,9 +165,9 @@ def proven(out: Search, tell: Callable[[str], None] = lambda _: None) -> Proven:
         worst = _worst(shown)
         if worst is None:
             break
-        tell(f"{worst.of} does not improve cycles that were left out")
+        tell(f"{worst.class_} does not improve cycles that were left out")
         dropped += (worst,)
-        out = _less(out, answer.shown, worst.of)
+        out = _less(out, answer.shown, worst.class_)
     if missing and not answer.findings and not out.chatter:  # whose teeth are in all that was found
         answer = replace(answer, verdict=DiagnosisVerdict.UNKNOWN, reason=Reason.NOT_BORNE_OUT)
     return replace(shown, answer=answer, dropped=dropped)
@@ -206,19 +199,22 @@ def _left_out(out: Search, answer: Answer) -> Proven:
     return Proven(out, answer, fine, before, after, (held_out(metric, before), held_out(metric, after)))
 
 
-def _worst(shown: Proven) -> DroppedMember | None:
+def _worst(shown: Proven) -> Dropped | None:
     """Find the dependence without which what was left out is predicted best; None where each improves it."""
     if not shown.answer.findings:
         return None
     fine, setting, members = shown.fine, shown.out.metric.setting, shown.answer.shown.members
     metric, gains = ErrorModel(fine, setting, shown.after.slope), []
-    for place, member in enumerate(members):
+    for place in range(len(members)):
         rest = shown.held[0]
         if len(members) > 1:
             less, z = without(fine, replace(shown.answer.shown, state=shown.after), place)
             state = laplace_under(fine, setting, shown.out.fitter.model_of(less), z)[1]
             rest = held_out(metric, state)
-        gains.append(DroppedMember(member.of.id, Gain.of(rest, shown.held[1])))
-    if all(one.gain.improves for one in gains) and not shown.gain.is_worse:
+        gains.append(Gain.of(rest, shown.held[1]))
+    if all(gain.improves for gain in gains) and not shown.gain.is_worse:
         return None
-    return min(gains, key=lambda one: one.gain.elpd if np.isfinite(one.gain.elpd) else -np.inf)
+    place = int(np.argmin([gain.elpd if np.isfinite(gain.elpd) else -np.inf for gain in gains]))
+    worst = gains[place]
+    told = finite((worst.elpd, worst.before_kN, worst.after_kN))
+    return Dropped(class_=members[place].of.id, elpd_gain=told[0], without_kN=told[1], with_kN=told[2])

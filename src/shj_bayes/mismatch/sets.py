@@ -17,7 +17,7 @@ class is taken with each other class of the combination at the share that was fo
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -42,14 +42,18 @@ Combination = frozenset[str]
 
 
 @dataclass(frozen=True, eq=False)
-class DeviceEvidence:
-    """What a device says of every class; `ValueError` if the parts of its record do not belong together."""
+class DiagnosedDevice:
+    """A diagnosed device; `ValueError` if the parts of its evidence do not belong together."""
 
-    record: EvidenceRecord
+    evidence: EvidenceRecord  # what it says of every class
+    folder: str = ""  # its folder below the campaign's
+    modelled: tuple[str, ...] = ()  # effects of the model that its diagnosis ended in
+    sampled: bool = False  # that model was fitted: the diagnosis was no first look
+    units: Mapping[str, str] = field(default_factory=dict)  # units of its further channels by coordinate
 
     def __post_init__(self) -> None:
         """Refuse weights that are not those of its sets."""
-        n, sets, nats = len(self.record.classes), self.record.sets, self.record.nats
+        n, sets, nats = len(self.evidence.classes), self.evidence.sets, self.evidence.nats
         if any(place >= n for places in sets for place in places):
             raise ValueError(f"a set names class {max(map(max, filter(None, sets)))} of {n}")
         if len(nats) != len(sets) or not np.all(np.isfinite(nats)) or () not in sets:
@@ -58,19 +62,19 @@ class DeviceEvidence:
     @cached_property
     def holds(self) -> NDArray[np.bool_]:
         """Which classes each set holds, shape (m, n)."""
-        return np.array([[i in places for i in range(len(self.record.classes))] for places in self.record.sets])
+        return np.array([[i in places for i in range(len(self.evidence.classes))] for places in self.evidence.sets])
 
     @cached_property
     def _bare(self) -> FloatArray:
         """Log evidence of each set, without prior odds, shape (m,)."""
-        return np.asarray(np.array(self.record.nats) - self.record.log_odds * self.holds.sum(axis=1))
+        return np.asarray(np.array(self.evidence.nats) - self.evidence.log_odds * self.holds.sum(axis=1))
 
     def log_factors(self, names: Sequence[str], log_odds: FloatArray) -> FloatArray:
         """Log Bayes factor of each class of `names`, with every other one at its odds, shape (n_names,) both.
 
         0 where the device says nothing of a class.
         """
-        out, classes = np.zeros(len(names)), self.record.classes
+        out, classes = np.zeros(len(names)), self.evidence.classes
         here = np.array([place for place, name in enumerate(names) if name in classes], dtype=np.int64)
         holds = self.holds[:, [classes.index(names[place]) for place in here]]
         if not here.size:
@@ -113,9 +117,9 @@ def _log_odds(p: float) -> float:
 class _Weighing:
     """Combinations of classes weighed for some devices, each once."""
 
-    def __init__(self, devices: Sequence[DeviceEvidence]) -> None:
+    def __init__(self, devices: Sequence[DiagnosedDevice]) -> None:
         self.devices = devices
-        self.names = sorted({name for device in devices for name in device.record.classes})
+        self.names = sorted({name for device in devices for name in device.evidence.classes})
         self.weights: dict[Combination, float] = {frozenset(): 0.0}
         self._odds: dict[Combination, FloatArray] = {frozenset(): np.full(len(self.names), _log_odds(ALONE))}
         self._factors: dict[Combination, FloatArray] = {}
@@ -171,7 +175,7 @@ class _Weighing:
 
 
 def common_to(
-    devices: Sequence[DeviceEvidence],
+    devices: Sequence[DiagnosedDevice],
 ) -> tuple[tuple[SharedDependence, ...], tuple[tuple[Combination, float], ...]]:
     """Find what the devices of a set, or of a campaign, have in common; see the module for the model.
 
@@ -193,7 +197,7 @@ def common_to(
         # Nothing less than the best combination explains the devices as well: it holds this class, or a rival.
         sure = name in best and sum(p for key, p in listed if key <= best - {name}) < ALPHA
         action, coordinate = DependenceId.read(name)
-        known, own = next(iter(coordinates_of(coordinate)), None), [device.record for device in devices]
+        known, own = next(iter(coordinates_of(coordinate)), None), [device.evidence for device in devices]
         one = SharedDependence(
             action=action,
             coordinate=coordinate,
@@ -227,70 +231,53 @@ def _rivals(listed: Iterable[tuple[Combination, float]], best: Combination, name
 DIGITS = 6  # of probabilities in files
 
 
-@dataclass(frozen=True, eq=False)
-class DiagnosedDevice:
-    """A diagnosed device."""
-
-    folder: str  # its folder below the campaign's
-    evidence: DeviceEvidence  # what it says of every class
-    modelled: tuple[str, ...]  # effects of the model that its diagnosis ended in
-    sampled: bool  # that model was fitted: the diagnosis was no first look
-    units: Mapping[str, str] = field(default_factory=dict)  # units of its further channels by coordinate
-
-
-@dataclass(frozen=True, eq=False)
-class Together:
-    """What the devices of a set have in common."""
-
-    set_name: str  # the set; empty for all devices of the campaign
-    devices: tuple[DiagnosedDevice, ...]  # its diagnosed devices
-    shared: tuple[SharedDependence, ...]  # every class, most probable first
-
-    @property
-    def effects(self) -> dict[str, tuple[str, ...]]:
-        """Effects of the models of devices that hold what is certain of the set, where no fit does so yet; by folder.
-
-        They are those that the device's own diagnosis found, and those that only the set makes certain.
-        """
-        out = {}
-        for place, device in enumerate(self.devices):
-            entering = [one for one in self.shared if one.enters and place in one.holders]
-            found = [one for one in entering if one.alone[place]]
-            added = tuple(one.effects[place] for one in entering if not one.alone[place] and one.effects[place])
-            if added or (not device.sampled and found):
-                out[device.folder] = (*device.modelled, *added)
-        return out
-
-    @property
-    def record(self) -> SetTogether:
-        """As it stands in ``campaign.json``."""
-        units: dict[str, str] = {}
-        for device in self.devices[::-1]:
-            units |= device.units
-        classes = tuple(
-            replace(
-                one,
-                unit=units.get(one.coordinate, one.unit),
-                probability=round(one.probability, DIGITS),
-                of_devices=tuple(round(p, DIGITS) for p in one.of_devices),
-            )
-            for one in self.shared
-        )
-        return SetTogether(set=self.set_name, devices=tuple(d.folder for d in self.devices), classes=classes)
-
-
-def together(devices: Iterable[tuple[str, DiagnosedDevice]]) -> tuple[Together, ...]:
+def together(
+    devices: Iterable[tuple[str, DiagnosedDevice]],
+) -> tuple[tuple[SetTogether, ...], dict[str, tuple[str, ...]]]:
     """Add up the diagnoses of a campaign, each behind the name of its set.
 
-    One for each set; behind them, where there are several sets, one for all devices.
+    What is common: one for each set; behind them, where there are several sets, one for all devices. Then, by folder,
+    the effects of the models of devices that hold what is certain of their set, where no fit does so yet.
     """
     by_set: dict[str, list[DiagnosedDevice]] = {}
     for set_name, device in devices:
         by_set.setdefault(set_name, []).append(device)
-    groups: list[tuple[str, Sequence[DiagnosedDevice]]] = list(by_set.items())
-    if len(groups) > 1:
-        groups.append(("", [device for _, own in groups for device in own]))
-    return tuple(Together(name, tuple(own), common_to([d.evidence for d in own])[0]) for name, own in groups)
+    shared = {name: common_to(own)[0] for name, own in by_set.items()}
+    enter = {place: effects for name, own in by_set.items() for place, effects in _entering(own, shared[name])}
+    out = [_told(name, own, shared[name]) for name, own in by_set.items()]
+    if len(by_set) > 1:
+        every = [device for own in by_set.values() for device in own]
+        out.append(_told("", every, common_to(every)[0]))
+    return tuple(out), enter
+
+
+def _entering(
+    devices: Sequence[DiagnosedDevice], shared: Sequence[SharedDependence]
+) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Effects of a model, by folder: those that the device's own diagnosis found, and those only the set makes sure."""
+    for place, device in enumerate(devices):
+        entering = [one for one in shared if one.enters and place in one.holders]
+        found = [one for one in entering if one.alone[place]]
+        added = tuple(one.effects[place] for one in entering if not one.alone[place] and one.effects[place])
+        if added or (not device.sampled and found):
+            yield device.folder, (*device.modelled, *added)
+
+
+def _told(name: str, devices: Sequence[DiagnosedDevice], shared: Sequence[SharedDependence]) -> SetTogether:
+    """Give what a set has in common as it stands in ``campaign.json``."""
+    units: dict[str, str] = {}
+    for device in devices[::-1]:
+        units |= device.units
+    classes = tuple(
+        replace(
+            one,
+            unit=units.get(one.coordinate, one.unit),
+            probability=round(one.probability, DIGITS),
+            of_devices=tuple(round(p, DIGITS) for p in one.of_devices),
+        )
+        for one in shared
+    )
+    return SetTogether(set=name, devices=tuple(d.folder for d in devices), classes=classes)
 
 
 def read_diagnosed(place: Path, folder: str) -> DiagnosedDevice:
@@ -303,7 +290,7 @@ def read_diagnosed(place: Path, folder: str) -> DiagnosedDevice:
         if record.evidence is None:
             raise ValueError("there is none")
         units = {one.coordinate: one.unit or "1" for one in record.channels}
-        return DiagnosedDevice(folder, DeviceEvidence(record.evidence), tuple(record.modelled), not record.quick, units)
+        return DiagnosedDevice(record.evidence, folder, tuple(record.modelled), not record.quick, units)
     except (ReportError, ValueError) as error:
         raise InferenceError(
             f"the evidence in its diagnosis.json cannot be read ({error}); delete that file and run again"

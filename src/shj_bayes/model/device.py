@@ -17,7 +17,7 @@ from shj_bayes.model.effects.effect import LEAST, Base, Contribution, Effect, ca
 from shj_bayes.model.effects.sliding import at_speed, changes_of_force, gone_further, limit_rise, rate_free_force
 from shj_bayes.model.history import History, delayed
 from shj_bayes.model.law import force_of_laws, variant_named
-from shj_bayes.model.noise.noise import DEFAULT, Noise, noise_model
+from shj_bayes.model.noise import DEFAULT, Noise, noise_model
 from shj_bayes.model.parameters import SHAREABLE, FloatArray, Parameter, describe, run_name
 from shj_bayes.model.priors import Laws, Priors
 

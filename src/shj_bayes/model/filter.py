@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from shj_bayes._util.arrays import freeze
 from shj_bayes.errors import ModelError
-from shj_bayes.model.noise.noise import Noise, Values
+from shj_bayes.model.noise import Noise, Values
 from shj_bayes.model.parameters import FloatArray
 
 IntArray = NDArray[np.int64]

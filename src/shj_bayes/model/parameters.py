@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shj_bayes.errors import ModelError
-from shj_bayes.model.noise.noise import noise_parameters
+from shj_bayes.model.noise import noise_parameters
 
 
 class Parameter(NamedTuple):

@@ -8,7 +8,7 @@ import numpy as np
 from shj_bayes.errors import ModelError
 from shj_bayes.model.filter import simulate
 from shj_bayes.model.law import force
-from shj_bayes.model.noise.noise import noise_model
+from shj_bayes.model.noise import noise_model
 from shj_bayes.recording.motion import Block, exact_motion, table_1
 from shj_bayes.recording.recording import Finding, Recording, Source
 

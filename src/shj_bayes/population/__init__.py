@@ -1,4 +1,4 @@
 """Device to device: what a new device of a set will be like, and how two sets compare.
 
-quantities -> device -> hierarchy (on grid) -> predict -> compare -> results.
+quantities -> readings (off a force), device -> hierarchy (on grid) -> predict -> compare -> results.
 """

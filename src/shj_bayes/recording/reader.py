@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from shj_bayes._util.files import file_digest, need_files
-from shj_bayes._util.imports import constants
+from shj_bayes._util.imports import discovered
 from shj_bayes.errors import RecordingError, plain_text
 from shj_bayes.recording import formats
 from shj_bayes.recording.checks import inspect, plausibility_findings, repair, with_exchange
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 @cache
 def by_ending() -> dict[str, Format]:
     """Format of every ending, those of text first."""
-    found = (one for _, own in constants(formats, "FORMATS") for one in own)
+    found = discovered(formats, "FORMATS")
     return {ending: one for one in sorted(found, key=lambda f: (not f.gzipped, f.id)) for ending in one.endings}
 
 

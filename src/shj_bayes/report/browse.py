@@ -18,7 +18,7 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report import numbers as n
-from shj_bayes.report.diagnosis_numbers import DiagnosisData
+from shj_bayes.report.diagnosis_words import DiagnosisData
 from shj_bayes.report.numbers import DeviceFigures
 from shj_bayes.report.page import is_ours
 from shj_bayes.report.words import force_unit, unit_for

@@ -1,6 +1,9 @@
 """The page of a diagnosis and its pictures: loops before and after, curves, maps of what is left over, energy."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +14,7 @@ from shj_bayes.errors import ReportError
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import diagnosis_words as say
 from shj_bayes.report.browse import diagnosis_viewer, thinning_words
-from shj_bayes.report.diagnosis_numbers import (
-    N_BINS,
-    N_POSITION,
-    DiagnosisData,
-    SignedMeans,
-    read_diagnosis,
-    shown_cycle,
-    signed_means,
-    travel_bins,
-)
+from shj_bayes.report.diagnosis_words import DiagnosisData, read_diagnosis
 from shj_bayes.report.figures.canvas import (
     BLUE,
     GREY,
@@ -36,6 +30,7 @@ from shj_bayes.report.figures.canvas import (
     short_name,
     svg,
 )
+from shj_bayes.report.numbers import bin_means, edges_of, index_in
 from shj_bayes.report.page import LOOPS, PAGE, write_page
 from shj_bayes.report.words import ForceUnit
 from shj_bayes.results.device import BoolArray, Channels
@@ -50,6 +45,8 @@ COORDINATES = (
 )
 SENSES = {"push": 1, "pull": -1}
 UNITS = {"position": " (mm)", "speed": " (mm/s)", "slip since reversal": " (mm)", "travel": " (m)", "time": " (s)"}
+N_BINS, N_POSITION, MAX_TRAVEL = 24, 24, 40
+FEWEST = 3  # samples of a bin that is drawn
 BASE, MORE = RED, BLUE  # the base law, the law with what was found
 
 
@@ -105,6 +102,52 @@ def _loops(data: DiagnosisData) -> list[dict[str, Any]]:
         address = loop(c.position_mm[at], c.force_kN[at], c.before_kN[at], after, data.force)
         out.append({"address": address, "run": run, "errors": errors})
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class SignedMeans:
+    """Mean residual along the motion over one coordinate, or over several; nan where there are too few samples."""
+
+    edges: tuple[FloatArray, ...] = field(repr=False)  # of the bins of each coordinate, shape (n + 1,)
+    # push_kN, pull_kN: shape (n,), or (n, m, ...); positive where the device resists more than the law says
+    push_kN: FloatArray = field(repr=False)
+    pull_kN: FloatArray = field(repr=False)
+
+
+def signed_means(
+    channels: Channels, residual_kN: FloatArray, bins: Mapping[str, int], fewest: int = FEWEST
+) -> SignedMeans:
+    """Average a residual along the motion in even bins, so many of each coordinate."""
+    used, direction, shape = channels.used, channels.direction, tuple(bins.values())
+    values = [getattr(channels, name) for name in bins]
+    edges = [edges_of(value[used], n) for value, n in zip(values, shape, strict=True)]
+    cell = np.ravel_multi_index([index_in(v, e) for v, e in zip(values, edges, strict=True)], shape)
+    push, pull = (
+        bin_means(cell, residual_kN * direction, used & (direction == sign), math.prod(shape), fewest).reshape(shape)
+        for sign in (1, -1)
+    )
+    return SignedMeans(tuple(edges), push, pull)
+
+
+def travel_bins(channels: Channels) -> int:
+    """About one bin for each large cycle, so that push and pull are both in it."""
+    used = channels.used
+    cycle_m = 2 * float(np.ptp(channels.position_mm[used])) / 1000
+    return int(np.clip(round(float(np.ptp(channels.travel_m[used])) / max(cycle_m, 1e-9)), 4, MAX_TRAVEL))
+
+
+def shown_cycle(channels: Channels, run: int) -> slice:
+    """Choose the samples of one cycle of a run to show: its last two neighbouring half-cycles of the largest stroke."""
+    mine = np.flatnonzero(channels.run == run)
+    turns = mine[1:][np.diff(channels.direction[mine]) != 0]
+    ends = [int(mine[0]), *turns.tolist(), int(mine[-1]) + 1]
+    halves = list(pairwise(ends))
+    strokes = [float(np.ptp(channels.position_mm[a:b])) for a, b in halves]
+    large = [s >= 0.95 * max(strokes) for s in strokes]
+    pairs = [i for i in range(len(halves) - 1) if large[i] and large[i + 1]]
+    if not pairs:
+        return slice(ends[0], ends[-1])
+    return slice(halves[pairs[-1]][0], halves[pairs[-1] + 1][1])
 
 
 def _profile(data: DiagnosisData, name: str, title: str, axis: str) -> dict[str, Any]:

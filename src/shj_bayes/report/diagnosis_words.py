@@ -1,9 +1,10 @@
-"""What a diagnosis page says: rows of its tables and its sentences, as plain values."""
+"""What a diagnosis left in its folder, and what its page says: rows of its tables and its sentences."""
 
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,8 @@ from shj_bayes.model.history import PREFIX
 from shj_bayes.model.parameters import FloatArray, base_of
 from shj_bayes.recording.limits import CHANNEL_GAP
 from shj_bayes.report import words
-from shj_bayes.report.diagnosis_numbers import DiagnosisData, number
 from shj_bayes.report.words import ForceUnit, unit_for
+from shj_bayes.results.device import Channels, read_channels
 from shj_bayes.results.diagnosis import (
     FEWEST_CYCLES,
     NOTHING_MISSING,
@@ -31,6 +32,37 @@ from shj_bayes.results.diagnosis import (
     EffectRecord,
     Location,
 )
+from shj_bayes.results.store import read
+
+
+@dataclass(frozen=True, eq=False)
+class DiagnosisData:
+    """What a diagnosis left in its folder."""
+
+    record: DiagnosisRecord
+    channels: Channels = field(repr=False)  # content of ``diagnosis.nc``
+
+    @property
+    def capacity_kN(self) -> float:
+        """Sliding force of the base law, kN; from the measured force where the record does not say."""
+        stated = self.record.fy_kN or 0.0
+        return stated if stated > 0 else float(np.quantile(np.abs(self.channels.force_kN), 0.9)) or 1.0
+
+    @property
+    def force(self) -> ForceUnit:
+        """Unit in which the page shows forces."""
+        return unit_for(self.capacity_kN)
+
+
+def number(value: float | None) -> float:
+    """Return a number of a record; nan where there is none."""
+    return math.nan if value is None else value
+
+
+def read_diagnosis(folder: Path) -> DiagnosisData:
+    """Read ``diagnosis.json`` and ``diagnosis.nc``; `ReportError` where one is missing, damaged or another."""
+    return DiagnosisData(read(DiagnosisRecord, folder), read_channels(folder))
+
 
 # Word and sign first; the colour only repeats them.
 VERDICTS = {

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from shj_bayes.margins.codes.en15129 import LBDP, UBDP, kind_of
+from shj_bayes.margins.codes.bounds import LBDP, UBDP, kind_of
 from shj_bayes.margins.files import CardLine, card_of, degrees_words, facts_of, shown
 from shj_bayes.margins.history import published_factors
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet

@@ -1,7 +1,6 @@
 """``posterior.nc`` and ``diagnosis.nc``: draws, channels and predictions of a device, and its model rebuilt."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -10,15 +9,15 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from shj_bayes.errors import InferenceError, ReportError
+from shj_bayes.errors import ReportError
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import History, Measured, histories
-from shj_bayes.model.noise.noise import noise_model
+from shj_bayes.model.noise import noise_model
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.results.fit import FitRecord
-from shj_bayes.results.store import check_files, has, read, vet_unless_known
+from shj_bayes.results.store import netcdf_file, posterior_file, read
 
 EXTRA = "extra_"  # before the names of further channels
 FLOATS = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m", "force_kN", "before_kN", "after_kN")
@@ -186,33 +185,8 @@ def read_group(folder: Path, group: str) -> dict[str, FloatArray]:
     A campaign's summary asks three times for a little of every device; all groups with their coordinates through
     xarray took a third of a second each time. `InferenceError` where the file is missing or damaged.
     """
-    import h5py  # noqa: PLC0415
-
-    with whole(folder, group) as path, h5py.File(path, "r") as file:
-        return {name: np.asarray(part) for name, part in file[group].items() if isinstance(part, h5py.Dataset)}
-
-
-@contextmanager
-def whole(folder: Path, group: str = "") -> Iterator[Path]:
-    """Give ``posterior.nc`` to read one group of, or all; a damaged one is told in one line."""
-    if has(FitRecord, folder):
-        check_files(folder, read(FitRecord, folder))
-    try:
-        vet_unless_known(folder / "posterior.nc", group)
-        yield folder / "posterior.nc"
-    except Exception as error:  # the readers raise dozens of kinds for damaged files; all mean the same
-        raise InferenceError(
-            f"posterior.nc in {folder.name} cannot be read ({str(error)[:200]}); run the fit again"
-        ) from error
-
-
-def read_whole(folder: Path, library: Any) -> Any:
-    """``posterior.nc`` as `library`, an ArviZ, reads it."""
-    with whole(folder) as path:
-        data = library.from_netcdf(str(path), engine="h5netcdf")
-        data.load()  # and close: an open file cannot be replaced on Windows
-        data.close()
-    return data
+    with posterior_file(folder, group) as file:
+        return {name: np.asarray(part) for name, part in file[group].items() if hasattr(part, "dtype")}
 
 
 def read_device(folder: Path) -> DeviceData:
@@ -220,12 +194,10 @@ def read_device(folder: Path) -> DeviceData:
 
     `InferenceError` if a file is missing or damaged, or the posterior lacks what a page needs.
     """
-    import h5py  # noqa: PLC0415
-
     record = read(FitRecord, folder)
     names = [row.name for row in record.parameters]
     # Of a dozen groups four are drawn; all of them through xarray took as long as drawing a fifth of the page.
-    with whole(folder) as path, h5py.File(path, "r") as file:
+    with posterior_file(folder) as file:
         loops, measured = (file[name] for name in (("loops", "constant_data") if "loops" in file else OLD))
         force = _values(measured["force"])
         constant = {name: _values(part) for name, part in file["constant_data"].items() if part.shape == force.shape}
@@ -289,11 +261,8 @@ class Channels:
 
 def read_channels(folder: Path) -> Channels:
     """Read ``diagnosis.nc``; `ReportError` where it is missing or damaged."""
-    import h5py  # noqa: PLC0415  (who reads only the words of a diagnosis need not load it)
-
     try:
-        vet_unless_known(folder / "diagnosis.nc")
-        with h5py.File(folder / "diagnosis.nc", "r") as file:
+        with netcdf_file(folder / "diagnosis.nc") as file:
             data = {name: np.asarray(file[name], dtype=np.float64) for name in (*FLOATS, "direction", "run", "weight")}
         channels = Channels(
             **{name: data[name] for name in FLOATS},

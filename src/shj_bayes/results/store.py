@@ -3,7 +3,8 @@
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, fields
 from functools import cache, lru_cache
@@ -24,6 +25,7 @@ from shj_bayes._util.files import (
     sealed,
     write_text,
 )
+from shj_bayes._util.imports import arviz
 from shj_bayes._util.processes import vet
 from shj_bayes.errors import InferenceError, ShjError
 from shj_bayes.results.codec import from_json, to_json
@@ -189,15 +191,43 @@ def write_netcdf(path: Path, groups: Mapping[str, Group], words: Mapping[str, An
     _TRUSTED.add((file_digest(path), ""))
 
 
-def vet_unless_known(path: Path, group: str = "") -> None:
-    """Refuse (`ValueError`) a netCDF file that is no result of ours, see `vet`.
+@contextmanager
+def netcdf_file(path: Path, group: str = "") -> Iterator[Any]:
+    """Open a netCDF file to read one group of, or all; `ValueError` where it is no result of ours, see `vet`.
 
     This process trusts what it wrote, and what it vetted.
     """
+    import h5py  # noqa: PLC0415  (as above)
+
     digest = file_digest(path)
     if _TRUSTED.isdisjoint({(digest, ""), (digest, group)}):
         vet(path, group)
         _TRUSTED.add((digest, group))
+    with h5py.File(path, "r") as file:
+        yield file
+
+
+@contextmanager
+def posterior_file(folder: Path, group: str = "") -> Iterator[Any]:
+    """Open ``posterior.nc`` to read one group of, or all; `InferenceError` where it is missing, damaged or altered."""
+    if has(FitRecord, folder):
+        check_files(folder, read(FitRecord, folder))
+    try:
+        with netcdf_file(folder / FILES[0], group) as file:
+            yield file
+    except Exception as error:  # the readers raise dozens of kinds for damaged files; all mean the same
+        raise InferenceError(
+            f"posterior.nc in {folder.name} cannot be read ({str(error)[:200]}); run the fit again"
+        ) from error
+
+
+def read_whole(folder: Path) -> Any:
+    """``posterior.nc`` as the installed ArviZ reads it."""
+    with posterior_file(folder) as file:
+        data = arviz().from_netcdf(file.filename, engine="h5netcdf")
+        data.load()  # and close: an open file cannot be replaced on Windows
+        data.close()
+    return data
 
 
 def taken_out(value: Any, arrays: dict[str, Any]) -> Any:

@@ -16,7 +16,7 @@ from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.start import find_start
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.filter import Timing
-from shj_bayes.model.noise.noise import noise_models
+from shj_bayes.model.noise import noise_models
 from shj_bayes.model.priors import MAX_SPREAD, Prior, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.motion import Block, exact_motion

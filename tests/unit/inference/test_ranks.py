@@ -5,8 +5,10 @@ import warnings
 import numpy as np
 import pytest
 
+from shj_bayes._util.imports import arviz
 from shj_bayes.inference import convergence as ranks
-from shj_bayes.inference.quiet_arviz import az
+
+az = arviz()
 
 
 @pytest.mark.parametrize("kind", ["white", "slow", "apart", "ties", "odd", "alternating", "short"])

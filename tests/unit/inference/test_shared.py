@@ -11,7 +11,7 @@ from shj_bayes.inference.likelihood import SharedDensity, make_likelihood
 from shj_bayes.inference.sampler import LEAST_ROUND, SamplingPlan, _next_round
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import DeviceModel, effects_named
-from shj_bayes.model.noise.noise import noise_model
+from shj_bayes.model.noise import noise_model
 from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.motion import Block

@@ -13,13 +13,13 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+from shj_bayes._util.imports import arviz
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference import store
 from shj_bayes.inference.convergence import FitVerdict, Widening, judge
 from shj_bayes.inference.fit import CHECKPOINT, Fit, evenly_spread, fit, weights_of_all_samples, with_widening
 from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.predictive import draw_noise, force_at_points, points_of
-from shj_bayes.inference.quiet_arviz import az
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan, run_ensembles
 from shj_bayes.inference.start import find_start, polish
 from shj_bayes.model.device import effects_named
@@ -38,6 +38,7 @@ GROUPS = {
     "posterior", "prior", "posterior_predictive", "prior_predictive", "log_likelihood", "log_prior", "sample_stats",
     "observed_data", "constant_data", "loops",
 }  # fmt: skip
+az = arviz()
 OLD_ARVIZ = az.__version__.startswith("0.")
 FORCE = "force_of_half_cycle"
 

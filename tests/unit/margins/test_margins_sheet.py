@@ -10,7 +10,7 @@ import pytest
 from shj_bayes.app.design import two_numbers
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import corroded_pairs, predictive_devices
-from shj_bayes.margins.codes import en1990, iso16269_6
+from shj_bayes.margins.codes.tolerance import factor_unknown, one_sided
 from shj_bayes.margins.export import bounds, draw_devices, loops, write_loops
 from shj_bayes.margins.files import design_table, to_json, to_table, write_margins
 from shj_bayes.margins.history import LAWS, published_factors, sine
@@ -83,13 +83,13 @@ def test_values_by_testing_follow_from_the_devices(sheet, design):
     spread = math.sqrt((logs.var(ddof=1) + np.log(values[1]).var(ddof=1)) / 2)
     assert spread < 0.10  # so s_y = sqrt(ln 1.01) = 0.09975
     row = sheet.by_key["Zinc 70", "third", "EN 1990 characteristic, lognormal, V common", LOW]
-    assert row.value == pytest.approx(math.exp(logs.mean() - en1990.factor_unknown(2, degrees=2) * 0.099751), rel=1e-5)
+    assert row.value == pytest.approx(math.exp(logs.mean() - factor_unknown(2, degrees=2) * 0.099751), rel=1e-5)
     assert "V raised from" in row.note
     assert (row.n_devices, row.degrees) == (2, 2)
     assert not any("V known" in row.kind for row in sheet.rows)
     row = sheet.by_key["Zinc 70", "most", "tolerance 95/95 one-sided, lognormal, V unknown", HIGH]
     logs = np.log(np.exp(design.sets[0].points["most"]))
-    k = iso16269_6.one_sided(2, 0.95, 0.95)
+    k = one_sided(2, 0.95, 0.95)
     assert row.value == pytest.approx(math.exp(logs.mean() + k * max(logs.std(ddof=1), 0.0175)), rel=0.02)
     assert "V common" in row.note
     row = sheet.by_key["Zinc 70", "third", "EN 1990 characteristic, lognormal, V unknown", LOW]

@@ -30,12 +30,13 @@ from shj_bayes.margins.uses import (
     WANTED_CLAMPING,
     uses,
 )
-from shj_bayes.margins.virtual_test import over_amplitude, read_off
+from shj_bayes.margins.virtual_test import over_amplitude
 from shj_bayes.options import PLAIN, MarginOptions
 from shj_bayes.population.device import NO_TAGS
 from shj_bayes.population.hierarchy import DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import NewDevice
 from shj_bayes.population.quantities import population_prior
+from shj_bayes.population.readings import read_off
 from shj_bayes.recording.motion import Block, exact_motion
 from shj_bayes.results.campaign import Connection
 

@@ -11,12 +11,13 @@ from shj_bayes.margins.export import loops
 from shj_bayes.margins.history import LoadingHistory, depends, from_file, load_cases, sine
 from shj_bayes.margins.sheet import pool
 from shj_bayes.margins.specimen import Belief, Specimen, drive
-from shj_bayes.margins.virtual_test import counted_from, of_readings, read_off, virtual_tests
+from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import SCALES, histories
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.device import Tags
 from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
+from shj_bayes.population.readings import counted_from, of_readings, read_off
 from shj_bayes.recording.motion import exact_motion, table_1
 
 LAW = {"K": 15.0, "Fy": 80.0, "beta": 15.0, "gamma": 0.0, "ratio": 0.95}

@@ -366,7 +366,7 @@ def test_what_does_not_improve_cycles_that_were_left_out_is_not_named(lost_clamp
     found = proven(lost_clamping)
     assert (found.answer.verdict, found.answer.reason) == ("unknown", Reason.NOT_BORNE_OUT)
     assert not found.answer.findings
-    assert found.dropped[-1].of in ("capacity over time", "capacity over travel")
+    assert found.dropped[-1].class_ in ("capacity over time", "capacity over travel")
     assert found.after is found.before
     row = heldout_row(found)
     assert row.dropped[-1].with_kN > row.dropped[-1].without_kN

@@ -11,7 +11,7 @@ from shj_bayes.model.device import DeviceModel, effects_named, force_with_effect
 from shj_bayes.model.effects.effect import Base, catalogue
 from shj_bayes.model.history import histories
 from shj_bayes.model.law import force_of_laws
-from shj_bayes.model.noise.noise import noise_model
+from shj_bayes.model.noise import noise_model
 from shj_bayes.model.parameters import describe, run_name
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.motion import Block, exact_motion

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from shj_bayes.model.effects.breakaway import _ages
 from shj_bayes.model.effects.effect import Base, catalogue
+from shj_bayes.model.effects.friction import _ages
 from shj_bayes.model.effects.sliding import slid_m
 from shj_bayes.model.history import History, histories
 from shj_bayes.recording.motion import Block, Motion, exact_motion

@@ -9,9 +9,9 @@ import pytest
 from scipy import stats
 
 from shj_bayes.errors import ModelError
+from shj_bayes.model import noise
 from shj_bayes.model.filter import Timing, density_and_zero, log_density, simulate, whiten
-from shj_bayes.model.noise import noise
-from shj_bayes.model.noise.noise import (
+from shj_bayes.model.noise import (
     DEFAULT,
     Noise,
     NoiseParameter,

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from shj_bayes.bench.work import check_lines, confusion_rows, doubt_lines, parameter_rows
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.sampler import SamplingPlan
@@ -11,7 +12,6 @@ from shj_bayes.model.priors import read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.planning.identifiability import Doubt, Identifiability, first_answer
 from shj_bayes.recording.motion import Block
-from shj_bayes.report.check_words import check_lines, confusion_rows, doubt_lines, parameter_rows
 
 TRUTH = Truth(K=18.0, Fy=80.0, beta=10.0, gamma=0.01, sigma=0.6)
 SMALL = Truth(K=0.018, Fy=0.08, beta=10.0, sigma=0.0006)

@@ -16,7 +16,7 @@ from shj_validation.proof.cases import PROOF_2, draw_keys
 from shj_validation.proof.check import check
 from shj_validation.proof.run import prove, write_recordings
 
-SEED, N = 51, 3  # of development
+SEED, N = 80, 3  # of development; its recordings have 5 samples a second
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -72,7 +72,7 @@ def finished(whole, tmp_path):
 def test_a_finished_proof_checks(finished, scores):
     scores.clear()  # scored again, as a third party would
     lines = check(finished, workers=1)
-    assert lines[0] == "3 keys follow from seed 51 and are those that were sealed before the diagnosis"
+    assert lines[0] == "3 keys follow from seed 80 and are those that were sealed before the diagnosis"
     assert "the same to the byte" in lines[1]
 
 
@@ -161,7 +161,7 @@ TAMPERED = {
         lambda d: _edit(d / "keys.json", lambda c: c["trials"][0]["key"]["device"].update(Fy=1.0)),
         "do not follow",
     ),
-    "the seed": (lambda d: _edit(d / "keys.json", lambda c: c.update(seed=52)), "do not follow from seed 52"),
+    "the seed": (lambda d: _edit(d / "keys.json", lambda c: c.update(seed=81)), "do not follow from seed 81"),
     "a nonce": (lambda d: _edit(d / "keys.json", lambda c: c["trials"][1].update(nonce="0")), "not the one that was"),
     "a score": (
         lambda d: _edit(d / "score.json", lambda c: c["trials"][0].update(outcome="right")),
@@ -194,7 +194,7 @@ def test_a_changed_recording_is_noticed(finished):
 
 
 def test_a_finished_folder_is_not_overwritten(finished):
-    with pytest.raises(ProofError, match="holds a finished proof of 3 trials, seed 51"):
+    with pytest.raises(ProofError, match="holds a finished proof of 3 trials, seed 80"):
         prove(finished, n=N, seed=SEED + 1, workers=1)
 
 

@@ -1,1 +1,1 @@
-"""Design codes, one file each; `catalogue` finds them in the tree."""
+"""Design codes; `code.catalogue` finds them in the modules here."""

@@ -1,4 +1,4 @@
-"""What a design code is, and all of them: every module of this package that holds a ``CODE``; a file more is enough."""
+"""What a design code is, and all of them: those in the ``CODES`` of every module of this package."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from functools import cache
 
 from shj_bayes._util.imports import discovered
-from shj_bayes.errors import PopulationError
 from shj_bayes.margins import codes
 from shj_bayes.margins.basis import RANK, DesignBasis
 from shj_bayes.margins.spread import FACTORS, Margin, Origin, Sample, Spread, known, limit, remarks
@@ -69,7 +68,7 @@ class Given:
 class Code:
     """A design code."""
 
-    id: str  # name of its file
+    id: str
     rows: Callable[[Given], Iterator[Margin]]  # from what is given of a set to its margins
     place: int  # order on the sheet
 
@@ -77,4 +76,4 @@ class Code:
 @cache
 def catalogue() -> tuple[Code, ...]:
     """Every design code, in the order of its ``place`` on the sheet, then by id."""
-    return tuple(sorted(discovered(codes, "CODE", PopulationError), key=lambda code: (code.place, code.id)))
+    return tuple(sorted(discovered(codes, "CODES"), key=lambda code: (code.place, code.id)))

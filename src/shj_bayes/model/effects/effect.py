@@ -1,6 +1,6 @@
 """What a physical effect is: words, parameters with priors, and what it does to the law; and all that there are.
 
-Every module of this package that holds an ``EFFECT`` is one; adding a file is enough.
+A module of this package is a chapter of effects by cause: those in its ``EFFECTS`` are found, in a file more as well.
 """
 
 from __future__ import annotations
@@ -195,7 +195,7 @@ def _joined(a: Contribution, b: Contribution) -> Contribution:
 @cache
 def _discovered() -> tuple[Effect, ...]:
     """Effects by family, in the order of `FAMILIES`, then by id."""
-    found = discovered(effects, "EFFECT", ModelError)
+    found = discovered(effects, "EFFECTS")
     return tuple(sorted(found, key=lambda effect: (FAMILIES.index(effect.family), effect.id)))
 
 

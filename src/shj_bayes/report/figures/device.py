@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes.model.noise.noise import noise_parameters
+from shj_bayes.model.noise import noise_parameters
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 from shj_bayes.recording.columns import TENSION

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from shj_bayes._util.imports import constants
+from shj_bayes._util.imports import discovered
 from shj_bayes.errors import ModelError
 from shj_bayes.model.parameters import FloatArray
 from shj_validation.proof import simulators
@@ -132,8 +132,7 @@ class Simulator:
 @cache
 def simulators_by_id() -> dict[str, Simulator]:
     """All simulators in alphabetical order."""
-    found = {one.id: one for _, held in constants(simulators, "SIMULATORS") for one in held}
-    return dict(sorted(found.items()))
+    return {one.id: one for one in sorted(discovered(simulators, "SIMULATORS"), key=lambda one: one.id)}
 
 
 def along(drives: Sequence[Drive], rates: Sequence[FloatArray], start: float = 0.0) -> list[FloatArray]:

@@ -1,6 +1,6 @@
 """What a noise model is: a white part, a part correlated in time, how heavy its tails are; and all that there are.
 
-Every module of this package that holds a ``NOISE`` is one; adding a file is enough.
+`filter` holds the likelihood that all of them share.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,12 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from shj_bayes._util.arrays import FloatArray
-from shj_bayes._util.imports import discovered
 from shj_bayes.errors import ModelError, did_you_mean
-from shj_bayes.model import noise
 
 Values = Mapping[str, FloatArray]
-DEFAULT = "slow"
 
 
 class NoiseComponents(NamedTuple):
@@ -48,7 +45,7 @@ class NoiseParameter(NamedTuple):
 class Noise:
     """One noise model."""
 
-    id: str  # word for ``--noise``; the file carries it
+    id: str  # word for ``--noise``
     own: tuple[NoiseParameter, ...]  # its parameters, in the order in which they are sampled
     # ``parts(values)`` gives the `NoiseComponents` from parameters by name, each of shape (m,)
     parts: Callable[[Values], NoiseComponents]
@@ -63,7 +60,6 @@ class Noise:
         return tuple(parameter.name for parameter in self.own)
 
 
-# Parameters of several models; one of a single model stands in its own module.
 SIGMA = NoiseParameter("sigma", "kN", "noise scale", (0.5, 1.0, 2.0), (0.003, 0.01), 1.0)
 WHITE = NoiseParameter("sigma_white", "kN", "noise from sample to sample", (0.3, 1.0, 3.0, 10.0), (0.003, 0.01), 1.0)
 SLOW = NoiseParameter("sigma_slow", "kN", "slow part of the noise", (0.05, 0.4, 1.0), (0.002, 0.01), 1.0)
@@ -71,6 +67,11 @@ TAU = NoiseParameter(
     "tau_slow", "s", "correlation time of the slow part", (0.2, 1.0, 5.0, 30.0), (0.5, 5.0), 3.0,
     prior=("lognormal", 3.0, 1.0, "As in the shipped families, where a file holds none."),
 )  # fmt: skip
+PHI = NoiseParameter(
+    "phi", "1", "lag-one noise correlation at the sampling rate", (-0.3, 0.3, 0.8, 0.98), (0.1, 0.8), 0.5,
+    bounds=(-1.0, 1.0),
+)  # fmt: skip
+NU = NoiseParameter("nu", "1", "degrees of freedom of the noise (large is Gaussian)", (4.0, 30.0), (5.0,), 10.0)
 
 
 def gaussian(white_kN: FloatArray, slow_kN: FloatArray) -> NoiseComponents:
@@ -78,16 +79,61 @@ def gaussian(white_kN: FloatArray, slow_kN: FloatArray) -> NoiseComponents:
     return NoiseComponents(white_kN, slow_kN, np.full(white_kN.shape, np.inf))
 
 
-def exponential(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
+def _slow(values: Values) -> NoiseComponents:
+    """White from sample to sample, slow as it is."""
+    return gaussian(values["sigma_white"], values["sigma_slow"])
+
+
+def _student(values: Values) -> NoiseComponents:
+    """As `_slow`, with Student's t for what is new in each sample."""
+    return NoiseComponents(values["sigma_white"], values["sigma_slow"], values["nu"])
+
+
+def _exponential(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
     """Correlation exp(-t / tau_slow) of an Ornstein-Uhlenbeck process, whatever the sampling rate."""
     return np.exp(-seconds[:, None] / values["tau_slow"])
+
+
+def _all_correlated(values: Values) -> NoiseComponents:
+    """No white part."""
+    return gaussian(np.zeros_like(values["sigma"]), values["sigma"])
+
+
+def _by_samples(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
+    """Autocorrelation phi^k at a lag of k samples; a gap counts as a whole number of samples."""
+    return np.asarray(np.power(values["phi"], np.rint(seconds[:, None] / step_s)))
+
+
+def _independent(values: Values) -> NoiseComponents:
+    """No slow part."""
+    return gaussian(values["sigma"], np.zeros_like(values["sigma"]))
+
+
+def _forgotten(values: Values, seconds: FloatArray, step_s: float) -> FloatArray:
+    """Nothing is remembered."""
+    return np.zeros((seconds.size, values["sigma"].size))
+
+
+NOISES = (
+    # The default, with a memory of seconds, means the same at any sampling rate: r(t) = w(t) + s(t),
+    # sd(w) = sigma_white, cov(s(t), s(t')) = sigma_slow^2 exp(-|t - t'| / tau_slow).
+    Noise(id="slow", own=(WHITE, SLOW, TAU), parts=_slow, decay=_exponential),
+    # First-order autoregressive at the recorded rate, for comparison with the literature; its parameters hold for this
+    # rate only: r_i = phi r_(i-1) + sigma sqrt(1 - phi^2) z_i, z ~ N(0, 1).
+    Noise(id="ar1", own=(SIGMA, PHI), parts=_all_correlated, decay=_by_samples),
+    # White alone, r_i ~ N(0, sigma^2), for comparison with least squares: too narrow for real noise.
+    Noise(id="independent", own=(SIGMA,), parts=_independent, decay=_forgotten),
+    # As `slow`, with (r_i - E[r_i | before]) / sd[r_i | before] ~ t_nu for each average of samples: single readings
+    # that are far off count less.
+    Noise(id="student", own=(WHITE, SLOW, TAU, NU), parts=_student, decay=_exponential),
+)
+DEFAULT = NOISES[0].id
 
 
 @cache
 def noise_models() -> dict[str, Noise]:
     """Every noise model by its word, the default first."""
-    found = {model.id: model for model in discovered(noise, "NOISE", ModelError)}
-    return dict(sorted(found.items(), key=lambda item: (item[0] != DEFAULT, item[0])))
+    return {model.id: model for model in NOISES}
 
 
 @cache
