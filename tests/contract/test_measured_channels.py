@@ -48,7 +48,7 @@ def write_device(folder: Path, *, follows: bool, seed: int) -> list[Path]:
             act=lambda h, v, b, w=wander: Contribution(clamping=1.0 + 0.1 * np.interp(h.time_s, TIME, w)),
         )
         base = Base(15.0, 70.0 if history.run == 1 else 60.0, 20.0, 0.01, 70.0)
-        acting = [(coulomb, dict.fromkeys(coulomb.model.names, 0.0))] if follows else []
+        acting = [(coulomb, dict.fromkeys(coulomb.names, 0.0))] if follows else []
         force = force_with_effects(history, base, acting)
         force = force + rng.standard_normal(TIME.size)
         columns = {
