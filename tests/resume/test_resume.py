@@ -195,7 +195,7 @@ def test_checkpoint_of_another_posterior_is_refused(
     if field == "model":  # the same recordings under the other law, not those simulated with it
         stranger = make_small()
         stranger = make_likelihood(stranger.runs, dataclasses.replace(stranger.model, variant="continuous"))
-    origin = Start(np.zeros(len(stranger.names)), np.eye(len(stranger.names)), 0.0)
+    origin = Start(np.zeros(len(stranger.model.names)), np.eye(len(stranger.model.names)), 0.0)
     with pytest.raises(CheckpointError, match=r"checkpoint\.h5 belongs to another problem: its .* differ") as caught:
         sample(stranger, origin, path=path)
     named = re.search(r"its (.*) differ", str(caught.value))
