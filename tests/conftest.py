@@ -27,10 +27,12 @@ TRUTH = Truth(
 )  # fmt: skip
 
 
-# Of about a minute or more: they go first, or a worker would be left alone with one of them at the end.
+# Of long: they go first, or a worker would be left alone with one of them at the end. The second reads only: on a
+# fresh checkout the first one compiles meanwhile what both workers need, which else both would do at the same time.
 LONG = (
-    "test_snippets", "test_diagnosis", "test_browser", "test_effects_in_fits", "test_campaign", "test_simulators",
-    "test_proof_short", "test_margins_commands", "test_resume", "test_run_and_check", "test_command_line",
+    "test_snippets", "test_shared_recordings", "test_bench_browser", "test_diagnosis", "test_work", "test_simulators",
+    "test_browser", "test_margins_commands", "test_effects_in_fits", "test_campaign", "test_proof_short",
+    "test_run_and_check", "test_resume", "test_measured_channels", "test_fuzz_corpus", "test_command_line",
     "test_kill_command",
 )  # fmt: skip
 

@@ -71,7 +71,6 @@ class _Result:
         return open_page(self.page)
 
 
-@dataclass(frozen=True, eq=False)
 class FitResult(_Result):
     """The posterior of one device; made by `fit` or `load`."""
 
@@ -107,7 +106,6 @@ class FitResult(_Result):
         return f"<p><b>{escape(str(self.record['device']))}: {escape(self.verdict)}</b> ({escape(reasons)})</p>{table}"
 
 
-@dataclass(frozen=True, eq=False)
 class Diagnosis(_Result):
     """What the law leaves out of one device; made by `diagnose` or `load`."""
 
@@ -154,7 +152,6 @@ class Diagnosis(_Result):
         return f"<p><b>{escape(str(self.record['device']))}: {escape(self.verdict)}</b>. {escape(words)}</p>{table}"
 
 
-@dataclass(frozen=True, eq=False)
 class NextTest(_Result):
     """Which test is next; made by `plan` or `load`."""
 
@@ -172,7 +169,6 @@ class NextTest(_Result):
         return pd.read_csv(self.folder / Path(str(self.record["candidates"][0]["file"])).name)
 
 
-@dataclass(frozen=True, eq=False)
 class CampaignResult(_Result):
     """Many devices and what they say about a new one; made by `Campaign.run`, `tables` or `load`."""
 

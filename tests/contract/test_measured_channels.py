@@ -115,7 +115,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Path], Path]:
     folder = tmp_path_factory.mktemp("fit")
     paths = write_device(folder, follows=True, seed=1)[:1]
     out = folder / "out"
-    shj_bayes.fit(paths, out, effects=(CURVE.id,), columns=COLUMNS, max_steps=200, threads=1)
+    shj_bayes.fit(paths, out, effects=(CURVE.id,), columns=COLUMNS, max_steps=60, threads=1)
     return paths, out
 
 

@@ -8,14 +8,15 @@ from typing import Any
 import pytest
 
 import shj_bayes
-from shj_bayes.app.device import write_simulated
-from shj_bayes.model.simulate import Truth
+from shj_bayes.model.simulate import Truth, simulate_device
+from shj_bayes.recording.motion import Block
+from shj_bayes.recording.recording import write_csv
 from shj_bayes.results.diagnosis import LeftOver
-from shj_bayes.results.store import find
+from shj_bayes.results.store import DIAGNOSIS, find
 
 jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
 SCHEMAS = Path(__file__).resolve().parents[2] / "docs" / "schemas"
-TRUTH = Truth(gamma=1 / 60)
+BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2), Block(48.0, 0.034, 2))
 
 
 def schema(name: str) -> dict[str, Any]:
@@ -29,14 +30,14 @@ def check(file: Path) -> None:
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
-    runs = [p.name for p in write_simulated(folder / "a", TRUTH, seed=3, rate_Hz=3.0) if p.suffix == ".csv"]
+    made = simulate_device(Truth(gamma=1 / 60), seed=3, rate_Hz=3.0, blocks=BLOCKS)
+    runs = [write_csv(folder / f"a-run{i}.csv", run).name for i, run in enumerate(made, start=1)]
     text = 'schema = "shj-bayes/campaign/1"\nname = "c"\n[defaults]\nmax_steps = 200\n[[set]]\nname = "s"\n'
     text += '[set.connection]\nbolts = 2\ndisplacement = "machine"\n'
     text += f'[[set.device]]\nname = "d"\nrecordings = {json.dumps(runs)}\n'
     text += '[[set.device]]\nname = "gone"\nrecordings = ["gone.csv"]\n'
     (folder / "c.toml").write_text(text, encoding="utf-8")
     shj_bayes.Campaign.read(folder / "c.toml").run(folder / "out", workers=1)
-    shj_bayes.diagnose([folder / name for name in runs], folder / "look", quick=True)
     device = next(p.parent for p in (folder / "out").glob("devices/*/fit.json"))
     shj_bayes.plan([device, device], folder / "next", question="force")
     return folder
@@ -67,7 +68,7 @@ def test_fresh_files_are_as_described(results: Path) -> None:
         results / "out" / "campaign.json",
         results / "out" / "population.json",
         results / "out" / "margins.json",
-        results / "look" / "diagnosis.json",
+        device / DIAGNOSIS / "diagnosis.json",
         results / "next" / "plan.json",
     ]
     assert {file.stem for file in files} == {p.name.partition(".")[0] for p in SCHEMAS.glob("*.json")}
@@ -86,6 +87,6 @@ def test_fresh_files_are_as_described(results: Path) -> None:
 )
 def test_wrong_files_are_refused(results: Path, name: str, change: dict[str, Any]) -> None:
     device = next(p.parent for p in (results / "out").glob("devices/*/fit.json"))
-    place = {"diagnosis": results / "look", "campaign": results / "out"}.get(name, device)
+    place = {"diagnosis": device / DIAGNOSIS, "campaign": results / "out"}.get(name, device)
     content = json.loads((place / f"{name}.json").read_text(encoding="utf-8")) | change
     assert list(jsonschema.Draft202012Validator(schema(name)).iter_errors(content))

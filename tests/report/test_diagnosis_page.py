@@ -22,7 +22,6 @@ from shj_bayes.report.diagnosis_words import (
     fluctuation_words,
     over_words,
     per_cent,
-    read_diagnosis,
     sentences,
     shape_columns,
     spaced,
@@ -31,7 +30,7 @@ from shj_bayes.report.diagnosis_words import (
 )
 from shj_bayes.report.page import kept_together
 from shj_bayes.results.codec import from_json
-from shj_bayes.results.device import Channels
+from shj_bayes.results.device import DiagnosisData, read_diagnosis
 from shj_bayes.results.diagnosis import DependenceRecord, DiagnosisRecord, DrawsInShort, Member, SetProbability, Shift
 
 
@@ -175,7 +174,7 @@ def test_nothing_found_shows_one_law(pages: dict[str, Page]) -> None:
 def test_profile_signs_along_the_motion() -> None:
     x = np.tile(np.linspace(0, 10, 100), 2)
     q = np.repeat([1, -1], 100)
-    c = Channels(x, x, x, x, x, q, np.ones_like(q), np.ones(200, dtype=bool), x, x, x)
+    c = DiagnosisData(made("adequate"), x, x, x, x, x, q, np.ones_like(q), np.ones(200, dtype=bool), x, x, x)
     p = signed_means(c, 2.0 * q, {"position_mm": 5})
     assert p.push_kN == pytest.approx(2.0)
     assert p.pull_kN == pytest.approx(2.0)
@@ -236,7 +235,7 @@ def test_a_curve_of_push_over_time_is_known_while_the_device_pushes(tmp_path: Pa
     phase = (at / (20.0 * np.pi)) % 1.0
     away = np.abs((phase + 0.25) % 0.5 - 0.25) < 0.2  # from where it turns
     for side, moved in (("push", (phase <= 0.25) | (phase >= 0.75)), ("pull", (phase > 0.25) & (phase < 0.75))):
-        known = moves(data.channels, at, {"push": 1, "pull": -1}[side])
+        known = moves(data, at, {"push": 1, "pull": -1}[side])
         assert np.array_equal(known[away], moved[away])
         assert 0 < known.sum() < known.size
     push, pull = (one["address"] for one in draw(data)["curves"])

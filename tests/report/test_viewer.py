@@ -9,10 +9,9 @@ import pytest
 from made_diagnosis import write
 
 from shj_bayes.report import browse as viewer
-from shj_bayes.report.diagnosis_words import read_diagnosis
 from shj_bayes.report.numbers import numbers_of
 from shj_bayes.report.page import LOOPS, policy, script
-from shj_bayes.results.device import DeviceData
+from shj_bayes.results.device import DeviceData, read_diagnosis
 
 
 def test_every_number_is_a_sample_to_within_half_a_step(well_specified: DeviceData) -> None:

@@ -77,17 +77,17 @@ def test_numba_has_a_cache_of_its_own_where_it_finds_none(monkeypatch):
 
 def test_a_clock_that_was_set_back_loses_nothing(run, tmp_path):
     out = tmp_path / "out"
-    first = fit_device([run], out, FitOptions(max_steps=200))
+    first = fit_device([run], out, FitOptions(max_steps=60))
     later = time.time() + 86_400
     for path in (run, *out.iterdir()):
         os.utime(path, (later, later))
-    kept = fit_device([run], out, FitOptions(max_steps=200))
+    kept = fit_device([run], out, FitOptions(max_steps=60))
     assert not kept.fresh
     assert kept.record == first.record
-    other = fit_device([run], out, FitOptions(max_steps=200, seed=2))
+    other = fit_device([run], out, FitOptions(max_steps=60, seed=2))
     assert other.fresh
     assert other.record.key != first.record.key
     for path in out.iterdir():
         os.utime(path, (later, later))
-    fit_device([run], out, FitOptions(max_steps=200), page=False)  # as one that is killed before it draws
+    fit_device([run], out, FitOptions(max_steps=60), page=False)  # as one that is killed before it draws
     assert not (out / "report.html").exists()  # else the page of the other one would be kept: it seems newer

@@ -57,7 +57,7 @@ def test_what_is_concealed_is_named(name, records):
     assert outcome(TRIALS[name], record) in allowed, record["reason"]
 
 
-@pytest.mark.parametrize("key", NOTHING, ids=["45", "46"])
+@pytest.mark.parametrize("key", [NOTHING[0], pytest.param(NOTHING[1], marks=SLOW)], ids=["45", "46"])
 def test_nothing_is_claimed_where_nothing_is_concealed(key, tmp_path):
     assert outcome(key, diagnosed(key, tmp_path)) == "quiet"
 

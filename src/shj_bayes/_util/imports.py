@@ -126,8 +126,9 @@ def arviz() -> Any:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=r"\s*ArviZ is undergoing a major refactor", category=FutureWarning)
         library: Any = importlib.import_module("arviz")
-    if hasattr(library, "Numba"):  # version 1 has none
-        library.Numba.disable_numba()  # it compiles its variance anew in every process, longer than it ever saves here
+    numba: Any = vars(library).get("Numba")  # version 1 has none
+    if numba is not None:
+        numba.disable_numba()  # it compiles its variance anew in every process, which takes longer than it ever saves
     return library
 
 

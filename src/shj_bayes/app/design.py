@@ -172,20 +172,21 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
     """
     need_population(folder)
     result = load_population(folder)
-    first, second = members(result, strata_of(result, set_a, set_b)[2])
+    a, b, strata = strata_of(result, set_a, set_b)
+    first, second = members(result, strata)
     rope = rope_percent / 100.0
     specimens = read_devices(folder, result)[1]
     curves = compare_curves(result, specimens, set_a, set_b, rope=rope)
-    parameters, forces = compare(result, set_a, set_b, rope=rope), None
+    parameters = compare(result, set_a, set_b, rope=rope)
+    forces: tuple[Contrast, ...] = ()
     held = {s.set_name for s in specimens}
     if held >= {*first, *second} and (design := pooled_forces(folder, result, specimens)):
         forces = compare(design, set_a, set_b, rope=rope, names=[q for q in FORCES if q in design.posteriors])
-    contrasts = [*(forces.contrasts if forces else ()), *parameters.contrasts]
-    a, b = parameters.set_a, parameters.set_b
+    contrasts = (*forces, *parameters)
     sides = (("a", a, first), ("b", b, second))
     who = [f"{side}: {name}" + ("" if of == (name,) else f" ({', '.join(of)})") for side, name, of in sides]
     said = {c.quantity: contrast_words(c, a, b) for c in contrasts}
-    multiplicity = multiplicity_words(forces.contrasts if forces else (), parameters.contrasts, parameters.strata)
+    multiplicity = multiplicity_words(forces, parameters, len(strata))
     lines = [*who, *comparison_lines(contrasts), "", COLUMNS.format(rope=rope_percent), "", *pair_lines(contrasts), ""]
     lines += [] if forces else ["Not every set gives K, Fy, beta and gamma: no forces are compared.", ""]
     lines += [f"- {words}" for words in (*said.values(), *map(curve_words, curves))]
@@ -194,7 +195,7 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
         "set_a": a,
         "set_b": b,
         "members": {"a": list(first), "b": list(second)},
-        "strata": parameters.strata,
+        "strata": len(strata),
         "multiplicity": multiplicity,
         "contrasts": [
             {**row_of(c), "pairs": [pair._asdict() for pair in c.pairs], "sentence": said[c.quantity]}

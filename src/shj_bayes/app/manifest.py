@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -191,16 +191,20 @@ class _Table(NamedTuple):
             raise self.error("names a file with a NUL character", "recordings")
         return tuple(self.path.parent / f for f in files)
 
+    def values(self, kinds: Mapping[str, tuple[Any, str]]) -> dict[str, Any]:
+        """Values of the keys that there are, each of its kind."""
+        values: dict[str, Any] = {}
+        for key, value in self.content.items():
+            if key in kinds:
+                kind, words = kinds[key]
+                if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+                    raise self.error(f"has {key} = {shown(value)}; it needs {words}", key)
+                values[key] = plain_name(value) if isinstance(value, str) else value
+        return values
+
     def tags(self) -> Tags:
         """Read what makes a set what it is, for contrasts between sets."""
-        values: dict[str, Any] = {}
-        for key, (kind, words) in TAG_KINDS.items():
-            if key not in self.content:
-                continue
-            value = self.content[key]
-            if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-                raise self.error(f"has {key} = {shown(value)}; it needs {words}", key)
-            values[key] = plain_name(value) if isinstance(value, str) else value
+        values = self.values(TAG_KINDS)
         percent = values.get("coverage_percent")
         if percent is not None:
             if not 0 <= percent <= 100:
@@ -214,13 +218,8 @@ class _Table(NamedTuple):
             return None
         place = self._replace(words=f"{self.words}, its connection", content=entry, keys=(*self.keys, "connection"))
         place.know((*PARTS,), "[set.options]")
-        for key, value in entry.items():
-            kind, words = PARTS[key]
-            if not isinstance(value, kind) or isinstance(value, bool):
-                raise place.error(f"has {key} = {shown(value)}; it needs {words}", key)
-        values: dict[str, Any] = {k: plain_name(v) if isinstance(v, str) else v for k, v in entry.items()}
         try:
-            return Connection(**values)
+            return Connection(**place.values(PARTS))
         except ValueError as error:
             raise place.error(f"cannot be: {error}") from error
 

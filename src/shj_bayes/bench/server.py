@@ -136,18 +136,12 @@ def put_shortcut(folder: Path) -> str:
     place = str(folder.resolve())
     if any(c in place for c in '"\r\n%$`'):
         raise CampaignError(f"{folder.name}: a shortcut cannot hold the path {place!r}; move the folder, or rename it")
+    run = f'"{PYTHON[0]}" {PYTHON[1]} -m shj_bayes bench "{place}"'
     if sys.platform == "win32":
-        path, text = (
-            desk / "shj-bayes bench.bat",
-            f'@echo off\r\n"{PYTHON[0]}" {PYTHON[1]} -m shj_bayes bench "{place}"\r\n',
-        )
+        path, text = desk / "shj-bayes bench.bat", f"@echo off\r\n{run}\r\n"
     elif sys.platform == "darwin":
-        path, text = (
-            desk / "shj-bayes bench.command",
-            f'#!/bin/sh\nexec "{PYTHON[0]}" {PYTHON[1]} -m shj_bayes bench "{place}"\n',
-        )
+        path, text = desk / "shj-bayes bench.command", f"#!/bin/sh\nexec {run}\n"
     else:
-        run = f'"{PYTHON[0]}" {PYTHON[1]} -m shj_bayes bench "{place}"'
         entry = f"[Desktop Entry]\nType=Application\nName=shj-bayes bench\nTerminal=true\nExec={run}\n"
         path, text = desk / "shj-bayes-bench.desktop", entry
     write_text(path, text)

@@ -244,7 +244,7 @@ def at_other_speeds(cases: Cases, specimen: Specimen, *, beyond: Mapping[str, fl
     laws = {case.law for case in cases} if set(beyond) - {"speed"} else {next(iter(cases)).law}
     out = {}
     for case, runs in cases.items():
-        at_largest = all(_peaks(run)[1:-1].min(initial=np.inf) >= ALIKE_SPEED * largest for run in runs)
+        at_largest = all(run.motion.peak_mm_s[1:-1].min(initial=np.inf) >= ALIKE_SPEED * largest for run in runs)
         shares = SPEEDS if bent else (SPEEDS[0], SPEEDS[-1])
         for speed in largest * np.array(shares[:-1] if at_largest and not beyond else shares):
             if case.law in laws:
@@ -257,13 +257,8 @@ def _over_speed(effect: Effect) -> bool:
     return "speed" in ((curve.coordinate,) if curve else (over for _, over in effect.acts))
 
 
-def _peaks(history: History) -> FloatArray:
-    """Peak speed of every half-cycle, mm/s."""
-    return np.asarray(np.maximum.reduceat(history.speed_mm_s, history.motion.start[:-1]))
-
-
 def _at_speed(history: History, speed_mm_s: float) -> History:
-    motion, peaks = history.motion, _peaks(history)
+    motion, peaks = history.motion, history.motion.peak_mm_s
     factor = speed_mm_s / np.maximum(peaks, 1e-6 * peaks.max())  # of a half-cycle that is none
     return replace(history, motion=replace(motion, speed_mm_s=motion.speed_mm_s * factor[motion.half_cycle]))
 

@@ -154,7 +154,7 @@ def _driven(
 def _widest(history: History, force: FloatArray) -> Loop:
     """Cut the last cycle of the largest amplitude out of a run, whole, with a quarter of the draws."""
     motion = history.motion
-    stroke = np.abs(np.diff(np.append(motion.turning_mm, motion.displacement_mm[-1])))
+    stroke = motion.stroke_mm
     # Of an irregular history the widest half-cycle, with the wider of those beside it.
     holds = np.maximum(stroke[:-1], stroke[1:]) >= 0.99 * stroke.max()
     pair = np.where(holds, stroke[:-1] + stroke[1:], 0.0)

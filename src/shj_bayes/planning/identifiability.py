@@ -113,15 +113,10 @@ def first_answer(
         rmse_kN=float(np.sqrt(np.mean(left**2))),
         half_cycles=n_half,
         readings_of_knee=float(np.median(np.concatenate([_in_knee(r, 2.0 * capacity / stiffness) for r in runs]))),
-        one_speed_mm_s=one_peak_speed(np.concatenate([_peaks(run) for run in runs])),
+        one_speed_mm_s=one_peak_speed(np.concatenate([run.motion.peak_mm_s[1:-1] for run in runs])),
         confusions=tuple(aliases_of(data_of(runs, model))),
     )
     return said, forces
-
-
-def _peaks(run: Run) -> FloatArray:
-    """Give the peak speed of each half-cycle from one reversal to the next, mm/s."""
-    return np.asarray(np.maximum.reduceat(run.motion.speed_mm_s, run.motion.start[:-1])[1:-1])
 
 
 def _expected(posterior: Likelihood, start: Start, natural: FloatArray) -> tuple[ExpectedParameter, ...]:

@@ -318,16 +318,6 @@ class Contrast:
         return 1.0 if self.kind == "quotient" else 0.0
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Two sides compared in every pooled quantity."""
-
-    set_a: str
-    set_b: str
-    contrasts: tuple[Contrast, ...]  # one per quantity
-    strata: int = 1  # pairs of sets that the comparison runs over; 1 for two sets
-
-
 def row_of(c: Contrast) -> dict[str, object]:
     """Flatten a contrast for tables and machines, without its pairs."""
     named = {"pairs", "tests", "difference", "spread_factor", "rope", "other_priors"}
@@ -342,8 +332,8 @@ def row_of(c: Contrast) -> dict[str, object]:
 
 def compare(
     result: PopulationResult, set_a: str, set_b: str, *, rope: float = ROPE, names: Sequence[str] = ()
-) -> Comparison:
-    """Compare two sets, or two kinds of sets, of a fitted population.
+) -> tuple[Contrast, ...]:
+    """Compare two sets, or two kinds of sets, of a fitted population in every pooled quantity.
 
     Parameters
     ----------
@@ -364,15 +354,12 @@ def compare(
     """
     if not 0 < rope < 1:
         raise PopulationError(f"the region of practical equivalence must be a share between 0 and 1; got {rope:g}")
-    a, b, strata = strata_of(result, set_a, set_b)
+    strata = strata_of(result, set_a, set_b)[2]
     drafts = [_contrast(result, name, strata, rope) for name in (names or result.posteriors)]
     n_tests = sum(c.tests.welch_p is not None or c.tests.permutation_p is not None for c in drafts)
     tests = [c.tests.leading(n_tests) for c in drafts]
     adjusted = holm([p for _, p in tests])
-    contrasts = tuple(
-        replace(c, holm_test=name, holm_p=p) for c, (name, _), p in zip(drafts, tests, adjusted, strict=True)
-    )
-    return Comparison(a, b, contrasts, len(strata))
+    return tuple(replace(c, holm_test=name, holm_p=p) for c, (name, _), p in zip(drafts, tests, adjusted, strict=True))
 
 
 def shift_of(result: PopulationResult, name: str, strata: Sequence[Stratum], prior: str) -> FloatArray:

@@ -78,19 +78,6 @@ class DeviceEstimate:
             raise PopulationError(f"device {name!r}: {error}") from error
         return cls(name, set_name, known, tags)
 
-    @classmethod
-    def from_table(
-        cls,
-        name: str,
-        set_name: str,
-        printed: Mapping[str, Rounded],
-        Fy_second: Rounded,
-        tags: Tags = Tags(),
-    ) -> DeviceEstimate:
-        """Build a device from rounded numbers, kN/mm, kN, s/mm, 1; the ratio follows from both runs' Fy."""
-        known = {q: value.of(q) for q, value in printed.items()} | {"ratio": ratio_of(Fy_second, printed["Fy"])}
-        return cls(name, set_name, known, tags)
-
     def point(self, name: str) -> float:
         """Point value on the pooled scale, NaN when this device does not give the quantity."""
         known = self.measurements.get(name)
@@ -280,7 +267,8 @@ class PublishedRow:
             "beta": Rounded.to_decade(value["beta", 1], step["beta"]),
         }
         second = Rounded.to_step(value["Fy", 2], step["Fy"])
-        return DeviceEstimate.from_table(f"T{self.table} {self.row}", self.set_name, printed, second, self.tags)
+        known = {q: one.of(q) for q, one in printed.items()} | {"ratio": ratio_of(second, printed["Fy"])}
+        return DeviceEstimate(f"T{self.table} {self.row}", self.set_name, known, self.tags)
 
 
 def read_table(number: int) -> list[dict[str, str]]:

@@ -85,8 +85,7 @@ def read_off(force_kN: FloatArray, motion: Motion, travel_m: FloatArray, *, meas
         joined = slice(start[h], min(start[h + 1] + 1, x.size))
         out["work_kJ"][:, h] = trapezoid(force_kN[:, joined], x[joined], axis=1) / 1000.0
     complete = (np.arange(n) > 0) & (np.arange(n) < n - 1)
-    peak = np.maximum.reduceat(motion.speed_mm_s, start[:-1])
-    return Readings(amplitude, motion.direction.astype(np.float64), travel, complete, peak, *out.values())
+    return Readings(amplitude, motion.direction.astype(np.float64), travel, complete, motion.peak_mm_s, *out.values())
 
 
 ALIKE = 0.01

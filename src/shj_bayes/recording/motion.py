@@ -78,6 +78,11 @@ class Motion:
         return np.abs(np.diff(self.turning_mm, append=self.displacement_mm[-1]))
 
     @property
+    def peak_mm_s(self) -> FloatArray:
+        """Peak speed of each half-cycle, shape (n_half,)."""
+        return np.asarray(np.maximum.reduceat(self.speed_mm_s, self.start[:-1]))
+
+    @property
     def travel_mm(self) -> FloatArray:
         """Cumulative distance moved, from turning point to turning point, shape (n_samples,), mm."""
         within = np.abs(self.displacement_mm - self.turning_mm[self.half_cycle])

@@ -372,14 +372,13 @@ def blocks_of(motion: Motion) -> list[dict[str, float]]:
         return []
     centre = 0.5 * (float(np.max(motion.turning_mm)) + float(np.min(motion.turning_mm)))
     amplitude = np.abs(turning - centre)
-    peaks = np.maximum.reduceat(motion.speed_mm_s, motion.start[:-1])
     slack = _SAME_AMPLITUDE * amplitude + 0.002 * float(np.max(amplitude))
     cuts = np.flatnonzero(np.abs(np.diff(amplitude)) > slack[:-1]) + 1
     return [
         {
             "amplitude_mm": float(np.mean(amplitude[a:b])),
             "cycles": (b - a) / 2,
-            "peak_speed_mm_s": float(np.max(peaks[a + 1 : b + 1])),
+            "peak_speed_mm_s": float(np.max(motion.peak_mm_s[a + 1 : b + 1])),
         }
         for a, b in pairwise([0, *cuts.tolist(), amplitude.size])
     ]

@@ -18,11 +18,10 @@ from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report import numbers as n
-from shj_bayes.report.diagnosis_words import DiagnosisData
 from shj_bayes.report.numbers import DeviceFigures
 from shj_bayes.report.page import is_ours
 from shj_bayes.report.words import force_unit, unit_for
-from shj_bayes.results.device import DeviceData, IntArray
+from shj_bayes.results.device import DeviceData, DiagnosisData, IntArray
 
 MAX_POINTS = 16_000  # of all runs together: about 0.5 MB of page, more than any screen has points to show
 MOST = 6  # runs that can be looked into
@@ -55,24 +54,23 @@ def device_viewer(device: DeviceData, numbers: DeviceFigures) -> dict[str, Any]:
 
 def diagnosis_viewer(data: DiagnosisData) -> dict[str, Any]:
     """Loops of a diagnosis, before and after; as `device_viewer`."""
-    c = data.channels
-    which = np.unique(c.run)[:MOST]
-    runs = []
+    which = np.unique(data.run)[:MOST]
+    runs, unit = [], unit_for(data.capacity_kN)
     for run in which:
-        mine = c.run == run
-        turns = np.flatnonzero(np.diff(c.direction[mine])) + 1
+        mine = data.run == run
+        turns = np.flatnonzero(np.diff(data.direction[mine])) + 1
         cycles = np.concatenate([[0], turns[::2], [int(mine.sum())]])  # whole loops, from one end of the stroke
         channels = {
-            "t": c.time_s[mine],
-            "x": c.position_mm[mine],
-            "measured": data.force.factor * c.force_kN[mine],
-            "before": data.force.factor * c.before_kN[mine],
+            "t": data.time_s[mine],
+            "x": data.position_mm[mine],
+            "measured": unit.factor * data.force_kN[mine],
+            "before": unit.factor * data.before_kN[mine],
         }
-        if c.changed:
-            channels["after"] = data.force.factor * c.after_kN[mine]
+        if data.changed:
+            channels["after"] = unit.factor * data.after_kN[mine]
         runs.append(_run(f"run {run}", channels, cycles, turns, MAX_POINTS // which.size))
-    names = {"before": "base law", "after": "with what was found" if c.changed else "", "band": ""}
-    return _whole(runs, names, "base", data.force.name)
+    names = {"before": "base law", "after": "with what was found" if data.changed else "", "band": ""}
+    return _whole(runs, names, "base", unit.name)
 
 
 def recording_viewer(

@@ -218,7 +218,7 @@ def _few(result: PopulationResult) -> str:
 def _contrast(a: str, b: str, forces: PopulationResult | None, result: PopulationResult) -> dict[str, Any]:
     """One pair of sets: a cell for each quantity, and the sentence on the force."""
     cells, sentence = {}, ""
-    for c in (c for of in (forces, result) if of is not None for c in compare(of, a, b).contrasts):
+    for c in (c for of in (forces, result) if of is not None for c in compare(of, a, b)):
         form = ".2f" if c.kind == "quotient" else "+.3g"
         cells[c.quantity] = {
             "text": f"{c.q50:{form}}",

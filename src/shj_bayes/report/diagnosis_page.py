@@ -14,7 +14,7 @@ from shj_bayes.errors import ReportError
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.report import diagnosis_words as say
 from shj_bayes.report.browse import diagnosis_viewer, thinning_words
-from shj_bayes.report.diagnosis_words import DiagnosisData, read_diagnosis
+from shj_bayes.report.diagnosis_words import unit_of
 from shj_bayes.report.figures.canvas import (
     BLUE,
     GREY,
@@ -33,7 +33,7 @@ from shj_bayes.report.figures.canvas import (
 from shj_bayes.report.numbers import bin_means, edges_of, index_in
 from shj_bayes.report.page import LOOPS, PAGE, write_page
 from shj_bayes.report.words import ForceUnit
-from shj_bayes.results.device import BoolArray, Channels
+from shj_bayes.results.device import BoolArray, DiagnosisData, read_diagnosis
 
 FIRST = 2  # loops on the first screen
 MOST = 6  # runs that are drawn
@@ -76,30 +76,29 @@ def _curves(data: DiagnosisData) -> list[dict[str, Any]]:
         over = f"{name}{', one period' if c.period else ''}"
         what = ("sliding force" if c.action == "capacity" else "added force") + say.way_words(c)
         sense = SENSES.get(c.direction) if c.coordinate == "time" else None
-        known = moves(data.channels, at, sense) if sense else None
+        known = moves(data, at, sense) if sense else None
         address = curve(at, mean, low, high, over + unit, known)
         out.append({"address": address, "of": c, "what": what, "name": name, "over": over})
     return out
 
 
-def moves(channels: Channels, at_s: FloatArray, sense: int) -> BoolArray:
+def moves(data: DiagnosisData, at_s: FloatArray, sense: int) -> BoolArray:
     """Whether a device moves in a direction, +1 or -1, near evenly spaced times of all runs, shape (n,)."""
-    runs, place = np.unique(channels.run, return_inverse=True)
-    lasts_s = [channels.time_s[channels.run == run].max() for run in runs]
+    runs, place = np.unique(data.run, return_inverse=True)
+    lasts_s = [data.time_s[data.run == run].max() for run in runs]
     begun_s = np.append(0.0, np.cumsum(lasts_s))[place]
     half = 0.5 * np.ptp(at_s) / max(at_s.size - 1, 1)
-    own = np.sort((begun_s + channels.time_s)[channels.direction == sense])
+    own = np.sort((begun_s + data.time_s)[data.direction == sense])
     return np.asarray(np.searchsorted(own, at_s + half) > np.searchsorted(own, at_s - half))
 
 
 def _loops(data: DiagnosisData) -> list[dict[str, Any]]:
-    c = data.channels
     out = []
-    for run in np.unique(c.run)[:MOST]:
-        at = shown_cycle(c, int(run))
-        after = c.after_kN[at] if c.changed else None
-        errors = [float(np.sqrt(np.mean(np.square(r[at])))) for r in c.residuals]
-        address = loop(c.position_mm[at], c.force_kN[at], c.before_kN[at], after, data.force)
+    for run in np.unique(data.run)[:MOST]:
+        at = shown_cycle(data, int(run))
+        after = data.after_kN[at] if data.changed else None
+        errors = [float(np.sqrt(np.mean(np.square(r[at])))) for r in data.residuals]
+        address = loop(data.position_mm[at], data.force_kN[at], data.before_kN[at], after, unit_of(data))
         out.append({"address": address, "run": run, "errors": errors})
     return out
 
@@ -115,11 +114,11 @@ class SignedMeans:
 
 
 def signed_means(
-    channels: Channels, residual_kN: FloatArray, bins: Mapping[str, int], fewest: int = FEWEST
+    data: DiagnosisData, residual_kN: FloatArray, bins: Mapping[str, int], fewest: int = FEWEST
 ) -> SignedMeans:
     """Average a residual along the motion in even bins, so many of each coordinate."""
-    used, direction, shape = channels.used, channels.direction, tuple(bins.values())
-    values = [getattr(channels, name) for name in bins]
+    used, direction, shape = data.used, data.direction, tuple(bins.values())
+    values = [getattr(data, name) for name in bins]
     edges = [edges_of(value[used], n) for value, n in zip(values, shape, strict=True)]
     cell = np.ravel_multi_index([index_in(v, e) for v, e in zip(values, edges, strict=True)], shape)
     push, pull = (
@@ -129,20 +128,20 @@ def signed_means(
     return SignedMeans(tuple(edges), push, pull)
 
 
-def travel_bins(channels: Channels) -> int:
+def travel_bins(data: DiagnosisData) -> int:
     """About one bin for each large cycle, so that push and pull are both in it."""
-    used = channels.used
-    cycle_m = 2 * float(np.ptp(channels.position_mm[used])) / 1000
-    return int(np.clip(round(float(np.ptp(channels.travel_m[used])) / max(cycle_m, 1e-9)), 4, MAX_TRAVEL))
+    used = data.used
+    cycle_m = 2 * float(np.ptp(data.position_mm[used])) / 1000
+    return int(np.clip(round(float(np.ptp(data.travel_m[used])) / max(cycle_m, 1e-9)), 4, MAX_TRAVEL))
 
 
-def shown_cycle(channels: Channels, run: int) -> slice:
+def shown_cycle(data: DiagnosisData, run: int) -> slice:
     """Choose the samples of one cycle of a run to show: its last two neighbouring half-cycles of the largest stroke."""
-    mine = np.flatnonzero(channels.run == run)
-    turns = mine[1:][np.diff(channels.direction[mine]) != 0]
+    mine = np.flatnonzero(data.run == run)
+    turns = mine[1:][np.diff(data.direction[mine]) != 0]
     ends = [int(mine[0]), *turns.tolist(), int(mine[-1]) + 1]
     halves = list(pairwise(ends))
-    strokes = [float(np.ptp(channels.position_mm[a:b])) for a, b in halves]
+    strokes = [float(np.ptp(data.position_mm[a:b])) for a, b in halves]
     large = [s >= 0.95 * max(strokes) for s in strokes]
     pairs = [i for i in range(len(halves) - 1) if large[i] and large[i + 1]]
     if not pairs:
@@ -151,20 +150,18 @@ def shown_cycle(channels: Channels, run: int) -> slice:
 
 
 def _profile(data: DiagnosisData, name: str, title: str, axis: str) -> dict[str, Any]:
-    c = data.channels
-    bins = {name: travel_bins(c) if name == "travel_m" else N_BINS}
-    sides = [signed_means(c, r, bins) for r in c.residuals]
-    parts = [("before", sides[0]), ("after", sides[1])] if c.changed else [("", sides[0])]
+    bins = {name: travel_bins(data) if name == "travel_m" else N_BINS}
+    sides = [signed_means(data, r, bins) for r in data.residuals]
+    parts = [("before", sides[0]), ("after", sides[1])] if data.changed else [("", sides[0])]
     largest = [float(np.nanmax(np.abs([p.push_kN, p.pull_kN]), initial=0.0)) for p in sides]
-    address = profiles(parts, axis, data.capacity_kN, data.force)
+    address = profiles(parts, axis, data.capacity_kN, unit_of(data))
     return {"address": address, "title": title, "axis": axis.partition(" (")[0], "largest": largest}
 
 
 def _map(data: DiagnosisData) -> str:
-    c = data.channels
-    bins = {"travel_m": travel_bins(c), "position_mm": N_POSITION}
-    before, after = (signed_means(c, r, bins, fewest=1) for r in c.residuals)
-    return maps([("before", before), ("after", after)] if c.changed else [("", before)], data.force)
+    bins = {"travel_m": travel_bins(data), "position_mm": N_POSITION}
+    before, after = (signed_means(data, r, bins, fewest=1) for r in data.residuals)
+    return maps([("before", before), ("after", after)] if data.changed else [("", before)], unit_of(data))
 
 
 def _energy(data: DiagnosisData) -> dict[str, Any] | None:
@@ -174,7 +171,7 @@ def _energy(data: DiagnosisData) -> dict[str, Any] | None:
     if not cycle.size or len({column.size for column in columns}) > 1:
         return None
     errors = [float(100 * (v.sum() / measured.sum() - 1)) for v in (before, after)]
-    address = energy(cycle, measured, before, after if data.channels.changed else None)
+    address = energy(cycle, measured, before, after if data.changed else None)
     return {"address": address, "errors": errors}
 
 
@@ -189,7 +186,7 @@ def _shape(data: DiagnosisData) -> dict[str, str] | None:
     # Along the motion, as everywhere on the page: the record keeps the sign of the force. The axis carries the unit.
     named = [(name.removesuffix("_kN"), values) for name, values in rest]
     along = [(name, -values if name == "pull" else values) for name, values in named]
-    return {"address": shape(at, along, coordinate, data.force), "coordinate": coordinate}
+    return {"address": shape(at, along, coordinate, unit_of(data)), "coordinate": coordinate}
 
 
 def render_diagnosis(folder: Path) -> Path:
@@ -200,10 +197,10 @@ def render_diagnosis(folder: Path) -> Path:
         content = {
             "name": data.record.device,
             "data": data,
-            "force": data.force,
+            "force": unit_of(data),
             "record": data.record,
             "say": say,
-            "changed": data.channels.changed,
+            "changed": data.changed,
             "pictures": draw(data),
             "viewer": viewer,
             "thinning": thinning_words(viewer),

@@ -1,10 +1,9 @@
-"""What a diagnosis left in its folder, and what its page says: rows of its tables and its sentences."""
+"""What a diagnosis page says: rows of its tables and its sentences, as plain values."""
 
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from shj_bayes.model.parameters import FloatArray, base_of
 from shj_bayes.recording.limits import CHANNEL_GAP
 from shj_bayes.report import words
 from shj_bayes.report.words import ForceUnit, unit_for
-from shj_bayes.results.device import Channels, read_channels
+from shj_bayes.results.device import DiagnosisData
 from shj_bayes.results.diagnosis import (
     FEWEST_CYCLES,
     NOTHING_MISSING,
@@ -32,36 +31,11 @@ from shj_bayes.results.diagnosis import (
     EffectRecord,
     Location,
 )
-from shj_bayes.results.store import read
-
-
-@dataclass(frozen=True, eq=False)
-class DiagnosisData:
-    """What a diagnosis left in its folder."""
-
-    record: DiagnosisRecord
-    channels: Channels = field(repr=False)  # content of ``diagnosis.nc``
-
-    @property
-    def capacity_kN(self) -> float:
-        """Sliding force of the base law, kN; from the measured force where the record does not say."""
-        stated = self.record.fy_kN or 0.0
-        return stated if stated > 0 else float(np.quantile(np.abs(self.channels.force_kN), 0.9)) or 1.0
-
-    @property
-    def force(self) -> ForceUnit:
-        """Unit in which the page shows forces."""
-        return unit_for(self.capacity_kN)
 
 
 def number(value: float | None) -> float:
     """Return a number of a record; nan where there is none."""
     return math.nan if value is None else value
-
-
-def read_diagnosis(folder: Path) -> DiagnosisData:
-    """Read ``diagnosis.json`` and ``diagnosis.nc``; `ReportError` where one is missing, damaged or another."""
-    return DiagnosisData(read(DiagnosisRecord, folder), read_channels(folder))
 
 
 # Word and sign first; the colour only repeats them.
@@ -290,6 +264,11 @@ def limits_words(data: DiagnosisData) -> str:
     return f"Not excluded: a dependence on {', '.join(named)}."
 
 
+def unit_of(data: DiagnosisData) -> ForceUnit:
+    """Choose the unit in which the page shows forces."""
+    return unit_for(data.capacity_kN)
+
+
 def spaced(text: str) -> str:
     """Put the space between a number and its per cent sign that the rest of the page has."""
     return re.sub(r"(?<=\d)%", " %", text)
@@ -299,12 +278,12 @@ def size_words(data: DiagnosisData) -> str:
     """Say how much the law misses, and what is left when what was found is added."""
     before, after = data.record.before.rmse_kN, data.record.after.rmse_kN
     text = (
-        f"The base law misses the force by {data.force.shown(before)} in root mean square "
+        f"The base law misses the force by {unit_of(data).shown(before)} in root mean square "
         f"({per_cent(before / data.capacity_kN)} % of the sliding force)"
     )
-    if not data.channels.changed:
+    if not data.changed:
         return f"{text}."
-    return f"{text}; with what was found, by {data.force.shown(after)}."
+    return f"{text}; with what was found, by {unit_of(data).shown(after)}."
 
 
 def p_words(p: float) -> str:
@@ -326,20 +305,20 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
         if row is None:
             continue
         note = f"Spread {spread(row['before'])} before, {spread(row['after'])} after."
-        if not data.channels.changed:
+        if not data.changed:
             said = dep(row["after"])
             note = f"{said[:1].upper()}{said[1:]}." if name == "gamma" else f"Spread {spread(row['after'])}."
         title = f"{name}: {meaning_of(name).meaning}"
         out.append(_card(title, value(row["before"]), value(row["after"]), row["unit"], note))
     stages = data.record.before, data.record.after
-    before, after = (words.short(stage.heldout_rmse_kN * data.force.factor) for stage in stages)
-    floor = data.force.shown(data.record.after.noise_kN)
+    before, after = (words.short(stage.heldout_rmse_kN * unit_of(data).factor) for stage in stages)
+    floor = unit_of(data).shown(data.record.after.noise_kN)
     # Where no effect takes up the whole, the scatter about the law holds the misfit too: it must not pass for noise.
     misfit = data.record.verdict == DiagnosisVerdict.UNKNOWN
     noise = "This holds what no effect explains, beside the noise." if misfit else f"Noise: {floor}."
     noise += worse_words(data.record)
-    out.append(_card("Error on cycles that were held out", before, after, data.force.name, noise))
-    if not data.channels.changed:
+    out.append(_card("Error on cycles that were held out", before, after, unit_of(data).name, noise))
+    if not data.changed:
         out = [card | {"before": ""} for card in out]
     if chance := chance_words(data.record):
         note = "An upper limit, corrected for everything that was tried. Small: something is missing."
@@ -350,8 +329,8 @@ def cards(data: DiagnosisData) -> list[dict[str, str]]:
 def effect_size(data: DiagnosisData, effect: EffectRecord) -> str:
     """Say how large an effect is beside the sliding force of the law that it acts in: that with what was found."""
     whole = data.record.shift["Fy"].after.mean if "Fy" in data.record.shift else 0.0
-    whole = whole if data.channels.changed and whole > 0 else data.capacity_kN
-    return "not known" if effect.size_kN is None else f"up to {with_share(effect.size_kN, whole, data.force)}"
+    whole = whole if data.changed and whole > 0 else data.capacity_kN
+    return "not known" if effect.size_kN is None else f"up to {with_share(effect.size_kN, whole, unit_of(data))}"
 
 
 def with_share(kN: float | None, whole: float, force: ForceUnit) -> str:
@@ -362,8 +341,8 @@ def with_share(kN: float | None, whole: float, force: ForceUnit) -> str:
 def shift_rows(data: DiagnosisData) -> dict[str, dict[str, Any]]:
     """Give unit, before and after of each parameter, in the units that are shown."""
     return {
-        name: {"unit": data.force.of(unit(name))[0]}
-        | {stage: data.force.row(EffectParameter(**vars(own), unit=unit(name))) for stage, own in vars(row).items()}
+        name: {"unit": unit_of(data).of(unit(name))[0]}
+        | {stage: unit_of(data).row(EffectParameter(**vars(own), unit=unit(name))) for stage, own in vars(row).items()}
         for name, row in data.record.shift.items()
     }
 
@@ -371,7 +350,7 @@ def shift_rows(data: DiagnosisData) -> dict[str, dict[str, Any]]:
 def parameter_rows(data: DiagnosisData, effect: EffectRecord) -> dict[str, EffectParameter]:
     """Give the parameters of an effect in the units that are shown; an empty unit where it has none."""
     rows = {name: replace(row, unit="" if row.unit == "1" else row.unit) for name, row in effect.parameters.items()}
-    return {name: data.force.row(row) for name, row in rows.items()}
+    return {name: unit_of(data).row(row) for name, row in rows.items()}
 
 
 def span_words(where: Location) -> str:
@@ -388,7 +367,7 @@ def heldout_words(data: DiagnosisData) -> str:
     gain, error = h.elpd_gain, h.se
     scheme = h.scheme.replace("_", " ")
     text = f"Held out ({scheme}; {h.n_blocks} cycles): a cycle is predicted by a law that was fitted without it."
-    if not data.channels.changed:
+    if not data.changed:
         return f"{text} Nothing was added to the law, so there is nothing to gain."
     if gain < 0:
         return (

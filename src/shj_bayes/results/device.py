@@ -16,6 +16,7 @@ from shj_bayes.model.noise import noise_model
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior, Priors
 from shj_bayes.recording.motion import Motion, alternating
+from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import netcdf_file, posterior_file, read
 
@@ -231,9 +232,10 @@ def _values(part: Any) -> NDArray[Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Channels:
-    """Samples of all runs, one after the other; arrays have shape (n,)."""
+class DiagnosisData:
+    """What a diagnosis left in its folder: its record, and samples of all runs, one after the other, shape (n,)."""
 
+    record: DiagnosisRecord
     # time_s to travel_m: time, displacement from mid-stroke, speed, distance since the last reversal, distance in all
     time_s: FloatArray = field(repr=False)
     position_mm: FloatArray = field(repr=False)
@@ -249,6 +251,12 @@ class Channels:
     after_kN: FloatArray = field(repr=False)
 
     @property
+    def capacity_kN(self) -> float:
+        """Sliding force of the base law, kN; from the measured force where the record does not say."""
+        stated = self.record.fy_kN or 0.0
+        return stated if stated > 0 else float(np.quantile(np.abs(self.force_kN), 0.9)) or 1.0
+
+    @property
     def changed(self) -> bool:
         """True when something was added to the base law."""
         return not np.array_equal(self.before_kN, self.after_kN)
@@ -259,12 +267,14 @@ class Channels:
         return self.force_kN - self.before_kN, self.force_kN - self.after_kN
 
 
-def read_channels(folder: Path) -> Channels:
-    """Read ``diagnosis.nc``; `ReportError` where it is missing or damaged."""
+def read_diagnosis(folder: Path) -> DiagnosisData:
+    """Read ``diagnosis.json`` and ``diagnosis.nc``; `ReportError` where one is missing, damaged or another."""
+    record = read(DiagnosisRecord, folder)
     try:
         with netcdf_file(folder / "diagnosis.nc") as file:
             data = {name: np.asarray(file[name], dtype=np.float64) for name in (*FLOATS, "direction", "run", "weight")}
-        channels = Channels(
+        found = DiagnosisData(
+            record,
             **{name: data[name] for name in FLOATS},
             direction=np.sign(data["direction"]).astype(np.int64),
             run=data["run"].astype(np.int64),
@@ -272,6 +282,6 @@ def read_channels(folder: Path) -> Channels:
         )
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise ReportError(f"diagnosis.nc in {folder.name} cannot be read: {error}; run the diagnosis again") from error
-    if not channels.used.any():
+    if not found.used.any():
         raise ReportError(f"diagnosis.nc in {folder.name} holds no sample that is evidence")
-    return channels
+    return found

@@ -80,7 +80,7 @@ def wear(trials, look):
     return look(trials.simulate({"wear": {"size": 0.02}}, 4)).content
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_nothing_is_found_where_nothing_is_missing(seed, trials, look):
     record = look(trials.simulate({}, seed)).content
     assert record["verdict"] == "adequate", record["reason"]
@@ -331,7 +331,7 @@ def test_same_seed_same_record(prying, look):
 
 
 @pytest.mark.parametrize(
-    "name", ["tension_step", "breakaway", *(pytest.param(n, marks=pytest.mark.slow) for n in ("slack", "asymmetry"))]
+    "name", ["breakaway", *(pytest.param(n, marks=pytest.mark.slow) for n in ("tension_step", "slack", "asymmetry"))]
 )
 def test_effects_are_named(name, trials, look):
     assert is_right(look(trials.simulate({name: trials.EFFECTS[name]}, 4)).content, {name})

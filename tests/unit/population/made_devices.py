@@ -1,19 +1,16 @@
 """Devices as the published tables state them, for the tests of population and margins."""
 
 from shj_bayes.population.device import DeviceEstimate, Tags
-from shj_bayes.population.quantities import Rounded
+from shj_bayes.population.quantities import Rounded, ratio_of
 
 
 def table_device(name, set_name, K, Fy, second, dep, tags=None):
-    return DeviceEstimate.from_table(
-        name,
-        set_name,
-        {
-            "K": Rounded.to_step(K, 1.0),
-            "Fy": Rounded.to_step(Fy, 5.0),
-            "gamma": Rounded.gamma_of_dep(dep, 30.0),
-            "beta": Rounded.to_decade(10.0),
-        },
-        Rounded.to_step(second, 5.0),
-        tags=tags or Tags(),
-    )
+    printed = {
+        "K": Rounded.to_step(K, 1.0),
+        "Fy": Rounded.to_step(Fy, 5.0),
+        "gamma": Rounded.gamma_of_dep(dep, 30.0),
+        "beta": Rounded.to_decade(10.0),
+    }
+    known = {q: one.of(q) for q, one in printed.items()}
+    known["ratio"] = ratio_of(Rounded.to_step(second, 5.0), printed["Fy"])
+    return DeviceEstimate(name, set_name, known, tags or Tags())

@@ -18,6 +18,7 @@ from shj_bayes.population.compare import (
     holm,
     permutation_test,
     row_of,
+    strata_of,
     welch,
 )
 from shj_bayes.population.device import Tags, published_rows
@@ -43,7 +44,7 @@ def known_population(levels, spreads, tags, points, seed=5, n=4000):
 
 def said(result, a, b, **options):
     found = compare(result, a, b, **options)
-    return contrast_words(found.contrasts[0], found.set_a, found.set_b)
+    return contrast_words(found[0], *strata_of(result, a, b)[:2])
 
 
 BARE, ZINC = Tags(material="b"), Tags("zinc", 70.0, material="b")
@@ -60,18 +61,18 @@ def made():
 
 def test_kinds_are_compared_pair_by_pair(made):
     found = compare(made, "corroded", "uncorroded")
-    force = found.contrasts[0]
-    assert found.strata == 2
+    force = found[0]
+    assert len(force.pairs) == 2
     assert force.q50 == pytest.approx(math.sqrt(62 / 85 * 54 / 72), rel=0.01)
     assert force.difference[1] == pytest.approx(((62 - 85) + (54 - 72)) / 2, rel=0.03)
     assert force.difference_unit == "kN"
     assert (force.n_a, force.n_b) == (4, 5)
     assert force.probability_level < 1e-3
     assert force.probability_rope < 1e-3
-    assert compare(made, "70 %", "coverage 100").strata == 2
+    assert len(compare(made, "70 %", "coverage 100")[0].pairs) == 2
     coated = compare(made, "coated", "uncoated")
-    assert coated.strata == 1
-    assert coated.contrasts[0].n_a == 5  # the two uncorroded coatings; there is no corroded bare set
+    assert len(coated[0].pairs) == 1
+    assert coated[0].n_a == 5  # the two uncorroded coatings; there is no corroded bare set
 
 
 def test_what_cannot_be_compared_is_said(made):
@@ -88,13 +89,13 @@ def test_what_cannot_be_compared_is_said(made):
 
 
 def test_superiority_and_practical_equivalence_have_closed_forms(made):
-    force = compare(made, "s0", "s1").contrasts[0]
+    force = compare(made, "s0", "s1")[0]
     wanted = stats.norm.cdf(math.log(85 / 62) / math.hypot(0.1, 0.1, 0.02 * math.sqrt(2)))
     assert force.superiority == pytest.approx(wanted, abs=0.003)
     same = compare(known_population((80.0, 80.0), (0.1, 0.1), (BARE, ZINC), ((80.0,), (80.0,))), "s0", "s1")
     inside = stats.norm.cdf(math.log(1.1) / (0.02 * math.sqrt(2)))
-    assert same.contrasts[0].probability_rope == pytest.approx(2 * inside - 1, abs=0.003)
-    assert "differ by less than 10 %" in contrast_words(same.contrasts[0], "s0", "s1")
+    assert same[0].probability_rope == pytest.approx(2 * inside - 1, abs=0.003)
+    assert "differ by less than 10 %" in contrast_words(same[0], "s0", "s1")
 
 
 def test_a_small_sample_is_told_what_would_decide():
@@ -121,11 +122,11 @@ def test_a_narrow_interval_is_given_with_the_digits_that_tell_its_ends_apart():
 
 
 def test_table_holds_every_test(made):
-    row = row_of(compare(made, "s0", "s1").contrasts[0])
+    row = row_of(compare(made, "s0", "s1")[0])
     wanted = {"welch_p", "permutation_p", "arrangements", "holm_p", "power_edge"}
     wanted |= {"permutation_least", "holm_test"}
     assert wanted | {"n_to_decide", "probability_rope", "difference_q50", "spread_factor_q50"} <= set(row)
-    assert "1 parameters were compared" in multiplicity_words((), compare(made, "s0", "s1").contrasts, 1)
+    assert "1 parameters were compared" in multiplicity_words((), compare(made, "s0", "s1"), 1)
 
 
 def test_welch_against_scipy(rng):
@@ -240,7 +241,7 @@ def test_three_against_three_cannot_go_below_a_tenth():
 
 def test_a_difference_beyond_doubt_is_not_hidden_by_the_adjustment():
     points = ((90.0, 91.0, 92.0), (60.0, 61.0, 62.0))
-    force = compare(known_population((91.0, 61.0), (0.02, 0.02), (BARE, ZINC), points), "s0", "s1").contrasts[0]
+    force = compare(known_population((91.0, 61.0), (0.02, 0.02), (BARE, ZINC), points), "s0", "s1")[0]
     assert force.direction is Direction.SETTLED
     assert "whatever is assumed of the spread (Welch's test" in contrast_words(force, "s0", "s1")
     assert force.tests.permutation_p == 0.10
@@ -267,8 +268,8 @@ def test_devices_needed_come_from_the_edge_and_not_from_what_was_seen():
         compare(known_population((80.0, b), (0.1, 0.1), (BARE, ZINC), ((80.0, 81.0), (b, b + 1))), "s0", "s1")
         for b in (79.0, 40.0)
     )
-    assert near.contrasts[0].n_to_decide == far.contrasts[0].n_to_decide
-    assert near.contrasts[0].power_edge == far.contrasts[0].power_edge
+    assert near[0].n_to_decide == far[0].n_to_decide
+    assert near[0].power_edge == far[0].power_edge
 
 
 def test_assurance_averages_over_the_spread_and_is_never_nan():
@@ -293,12 +294,12 @@ def test_draws_of_the_inverse_wishart_law_have_its_means():
 def test_one_device_never_settles_a_direction_whatever_is_assumed_of_the_spread():
     """Every prior gives it, far apart as they lie; but a set of one says nothing of its own spread."""
     one = known_population((40.0, 80.0), (0.02, 0.02), (BARE, ZINC), ((40.0,), (80.0, 81.0)))
-    assert compare(one, "s0", "s1").contrasts[0].direction is Direction.TRIED
+    assert compare(one, "s0", "s1")[0].direction is Direction.TRIED
     assert "these devices alone do not (a set of one device tells nothing" in said(one, "s0", "s1")
     many = known_population((40.0, 80.0), (0.02, 0.02), (BARE, ZINC), ((40.0,), tuple(80.0 + np.arange(30.0) / 9)))
-    assert compare(many, "s0", "s1").contrasts[0].direction is Direction.TRIED  # 2 of 31 arrangements are as far out
+    assert compare(many, "s0", "s1")[0].direction is Direction.TRIED  # 2 of 31 arrangements are as far out
     scattered = known_population((60.0, 80.0), (0.02, 0.02), (BARE, ZINC), ((40.0, 90.0), (60.0, 107.0)))
-    assert compare(scattered, "s0", "s1").contrasts[0].direction is Direction.TRIED
+    assert compare(scattered, "s0", "s1")[0].direction is Direction.TRIED
     assert "these devices alone do not (Welch's test gives p = 0.6" in said(scattered, "s0", "s1")
 
 
@@ -315,7 +316,7 @@ def test_where_test_and_posterior_disagree_it_says_why():
 
 
 def test_opposite_pairs_are_named(made):
-    found = compare(made, "corroded", "uncorroded").contrasts[0]
+    found = compare(made, "corroded", "uncorroded")[0]
     assert [p.observed for p in found.pairs] == pytest.approx(
         [(60 * 65 / (80 * 90)) ** 0.5, (50 * 58) ** 0.5 / (70 * 72 * 75) ** (1 / 3)]
     )

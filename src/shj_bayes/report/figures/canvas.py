@@ -106,9 +106,9 @@ class Axes:
             ends = np.array([0.0, 16.0, 16.0, 0.0]) * FINE
             self.key.append((label, draw(ends, np.array([0.0, 0.0, -6.5, -6.5]) * FINE)))
 
-    def across(self, y: float, style: str = "-", *, color: str = INK, linewidth: float = 0.8, label: str = "") -> None:
+    def across(self, y: float, style: str = "-", *, label: str = "") -> None:
         """Draw a line across the whole diagram."""
-        self.plot([-np.inf, np.inf], [y, y], style, color=color, linewidth=linewidth, label=label)
+        self.plot([-np.inf, np.inf], [y, y], style, color=INK, linewidth=0.8, label=label)
 
     def mesh(self, x: FloatArray, y: FloatArray, values: FloatArray, reach: float) -> None:
         """Colour the fields between edges, shapes (n + 1,) and (m + 1,), by values from -reach to reach, (m, n)."""
