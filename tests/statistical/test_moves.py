@@ -14,7 +14,8 @@ import emcee
 import numpy as np
 import pytest
 
-from shj_bayes.inference.sampler import EnsembleState, Proposal, _advance, fit_proposal, moves
+from shj_bayes.inference.proposal import Proposal, fit_proposal
+from shj_bayes.inference.sampler import EnsembleState, _advance, moves
 from shj_bayes.inference.start import Start
 
 D = 6

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from shj_bayes.inference.sampler import N_DRAWS, N_ROUNDS, TAIL, Proposal, fit_proposal
+from shj_bayes.inference.proposal import N_DRAWS, N_ROUNDS, TAIL, Proposal, fit_proposal
 from shj_bayes.inference.start import Start
 
 D = 5
@@ -79,6 +79,34 @@ def test_a_tail_that_the_curvature_does_not_tell_is_met(seed: int) -> None:
     weight = bounded_below(new) - proposal.log_density(new)
     leaves = float(np.mean(np.exp(np.minimum(0.0, weight[:, None] - there[None, :]))))
     assert leaves > 0.1
+
+
+def hidden_noise(z: np.ndarray) -> np.ndarray:
+    """A white noise that another part of the noise may be all of: of both, in logarithms, only the sum is known."""
+    total = np.logaddexp(z[:, 0], z[:, 1]) - np.log(2.0)
+    return np.asarray(-0.5 * (total / 0.05) ** 2 - 0.5 * (z[:, 0] ** 2 + z[:, 1] ** 2) / 9.0 + other(z))
+
+
+def other(z: np.ndarray) -> np.ndarray:
+    return np.asarray(-0.5 * np.sum(z[:, 2:] ** 2, axis=1))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_ridge_that_bends_is_met_to_its_end(seed: int) -> None:
+    """Both ends hold a tenth of the mass and lie where no straight line from the top goes."""
+    curvature = np.linalg.inv(np.full((2, 2), 0.25 / 0.05**2) + np.eye(2) / 9.0)
+    covariance = np.block([[curvature, np.zeros((2, D - 2))], [np.zeros((D - 2, 2)), np.eye(D - 2)]])
+    law = Target(hidden_noise)
+    proposal = fit_proposal(law, Start(np.zeros(D), covariance, 0.0), np.random.default_rng(seed))
+    grid = np.stack(np.meshgrid(*2 * [np.linspace(-12.0, 1.5, 1500)], indexing="ij"), axis=-1).reshape(-1, 2)
+    exact = np.exp(hidden_noise(np.pad(grid, ((0, 0), (0, D - 2)))))
+    ends = [float(exact[grid[:, i] < -4.0].sum() / exact.sum()) for i in range(2)]
+    z = proposal.draw(20_000, np.random.default_rng(5))
+    weight = np.exp(hidden_noise(z) - proposal.log_density(z))
+    assert weight.max() < 30.0 * weight.mean()  # nowhere is a walker held for long
+    assert min(ends) > 0.05
+    found = [float(weight[z[:, i] < -4.0].sum() / weight.sum()) for i in range(2)]
+    np.testing.assert_allclose(found, ends, atol=0.02)
 
 
 def test_a_start_without_any_density_still_gives_a_proposal() -> None:
