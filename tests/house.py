@@ -18,8 +18,8 @@ SRC = ROOT / "src" / "shj_bayes"
 RESULTS = re.compile(r"\b(fit|diagnosis|campaign|population|summary|residual)\.json\b|\b(posterior|diagnosis)\.nc\b")
 READS = re.compile(r"\b(read_json|open_dataset|open_group|InferenceData|from_netcdf|json\.loads?)\(")
 LIMITS = {
-    "lines": 38_690,
-    "files": 142,
+    "lines": 38_751,
+    "files": 143,
     "dataclasses": 184,
     "class names that exist twice": 0,
     "methods of the largest class": 12,

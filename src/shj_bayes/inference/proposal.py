@@ -122,7 +122,7 @@ def _first(density: Density, start: Start) -> Proposal:
                 if heights[n] < known[n] + COVERED:  # another parameter's ridge is the same
                     continue
                 step = 0.3 * (b - a)
-                mass = np.exp(heights[n] - start.log_posterior) * abs(step[i]) / np.linalg.norm(row)
+                mass = np.exp(min(heights[n] - start.log_posterior, 0.0)) * abs(step[i]) / np.linalg.norm(row)
                 weights.append(max(float(mass), 0.02))
                 means.append(points[n])
                 roots.append(root_of(across + np.outer(step, step)))
