@@ -20,9 +20,9 @@ from emcee.moves import DEMove, DESnookerMove, KDEMove, MHMove, RedBlueMove, Str
 
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.convergence import autocorrelation_time
+from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.proposal import Proposal, fit_proposal
 from shj_bayes.inference.sampler import moves
-from shj_bayes.inference.likelihood import Likelihood, make_likelihood
 from shj_bayes.inference.start import Start, find_start
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
