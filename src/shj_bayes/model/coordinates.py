@@ -21,7 +21,7 @@ FIRST_SLID = 0.03  # of the travel in all tests, likewise for it: surfaces bed i
 FASTEST = 1.15  # of the peak speed (a 95th percentile)
 FELT_MM = 0.1  # slid until a contact has got used to a speed: between clean metal and debris
 PAD = 0.2  # of the half stroke: standard deviation of the bell over which passes over a place are counted
-STROKES = 60.0  # half strokes slid at peak speed: what heats a device by one unit of the heat state
+STROKES = 60.0  # half strokes slid at peak speed, about the paper's protocol: what heats a device by one unit
 # How smooth a curve is before the test: wear and heating are smooth; clamping that changes with time steps, swings or
 # wanders.
 SMOOTH, EITHER = MappingProxyType({0.5: 1.0}), MappingProxyType({0.15: 0.5, 0.5: 0.5})

@@ -3,6 +3,7 @@
 import numpy as np
 from numba import njit
 
+from shj_bayes.model.coordinates import STROKES
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.effects.sliding import passes, remembered_through, slid_m, slid_since_mm
 from shj_bayes.model.history import History
@@ -234,7 +235,6 @@ AMPLITUDE = Effect(
 
 N_MODES = 7  # the plate as a whole, and heat through its thickness; the next last a fiftieth of its time
 STEEPEST = 1.55  # of the first mode's angle: at pi/2 the far face is held cold
-STROKES = 60.0  # reference duration in half strokes at peak speed: about the paper's protocol, whatever the device
 
 
 @njit(cache=True, fastmath={"contract", "reassoc", "nsz"})
@@ -259,7 +259,7 @@ def _temperature(heat: FloatArray, step: FloatArray, decays: FloatArray, weights
 
 
 def _thermal(history: History, values: Values, base: Base) -> Contribution:
-    """Clamping 1 - c T/T_ref; T_ref is reached by sliding at peak speed and full force for the reference duration.
+    """Clamping 1 - c T/T_ref; T_ref is reached by sliding `STROKES` half strokes at peak speed and full force.
 
     The rubbed face of a plate that gives its heat off at the other face answers a unit of heat with
     sum w exp(-m^2 t / (pi^2 t_d)), w = 2 / (1 + sin 2m / 2m), over the roots of m tan m = Bi: the plate as a whole, and
