@@ -17,8 +17,9 @@ from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.history import History, histories, on_scales_of
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.options import MarginOptions
+from shj_bayes.recording.columns import choose_history
 from shj_bayes.recording.motion import Block, Motion, alternating, exact_motion, hysteresis
-from shj_bayes.recording.reader import read_history
+from shj_bayes.recording.reader import read_table
 
 PLACES = 41
 
@@ -190,7 +191,7 @@ def from_file(path: Path, of_drift: float = 1.0, how: str = "") -> LoadingHistor
     Of a drift so much (`of_drift`) is slip; `how` says how that was worked out.
     `RecordingError` where the file cannot be read as such, `PopulationError` where nothing moves or time does not grow.
     """
-    time, x, findings = read_history(path)
+    time, x, findings = choose_history(read_table(path))
     if np.any(np.diff(time) <= 0) or not np.ptp(x) > 0:
         raise PopulationError(
             f"{path.name}: a history needs time (s) that grows from row to row and displacement (mm) that changes; "

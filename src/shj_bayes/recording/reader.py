@@ -16,7 +16,7 @@ from shj_bayes.errors import RecordingError, plain_text
 from shj_bayes.recording import formats
 from shj_bayes.recording.checks import inspect, plausibility_findings, repair, with_exchange
 from shj_bayes.recording.clock import follow_on, going_on, restarts
-from shj_bayes.recording.columns import RawChannels, choose, choose_history
+from shj_bayes.recording.columns import RawChannels, choose
 from shj_bayes.recording.limits import MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROWS
 from shj_bayes.recording.recording import Column, Finding, FloatArray, Recording, Source
 from shj_bayes.recording.rows import split_header
@@ -159,14 +159,6 @@ def read(
         If the file cannot be read, or a channel is missing, ambiguous or not convertible.
     """
     return recording_of(read_table(path, sheet), columns, units, rate_Hz)
-
-
-def read_history(path: Path) -> tuple[FloatArray, FloatArray, tuple[Finding, ...]]:
-    """Read a displacement history that nobody has run yet: times (s), displacement (mm), and what was found.
-
-    The same readers and bounds as for a recording; errors as for `read`.
-    """
-    return choose_history(read_table(path))
 
 
 def recording_of(table: Table, columns: str | None, units: str | None, rate_Hz: float | None) -> Recording:

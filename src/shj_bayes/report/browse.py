@@ -15,13 +15,13 @@ import numpy as np
 from shj_bayes._util.processes import program
 from shj_bayes.errors import ReportError
 from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import Motion
+from shj_bayes.recording.motion import IntArray, Motion
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report import numbers as n
 from shj_bayes.report.numbers import DeviceFigures
 from shj_bayes.report.page import is_ours
 from shj_bayes.report.words import force_unit, unit_for
-from shj_bayes.results.device import DeviceData, DiagnosisData, IntArray
+from shj_bayes.results.device import DeviceData, DiagnosisData
 
 MAX_POINTS = 16_000  # of all runs together: about 0.5 MB of page, more than any screen has points to show
 MOST = 6  # runs that can be looked into

@@ -12,6 +12,7 @@ from jinja2 import UndefinedError
 
 from shj_bayes.errors import ReportError
 from shj_bayes.model.parameters import FloatArray
+from shj_bayes.recording.recording import BoolArray
 from shj_bayes.report import diagnosis_words as say
 from shj_bayes.report.browse import diagnosis_viewer, thinning_words
 from shj_bayes.report.diagnosis_words import unit_of
@@ -33,7 +34,7 @@ from shj_bayes.report.figures.canvas import (
 from shj_bayes.report.numbers import bin_means, edges_of, index_in
 from shj_bayes.report.page import LOOPS, PAGE, write_page
 from shj_bayes.report.words import ForceUnit
-from shj_bayes.results.device import BoolArray, DiagnosisData, read_diagnosis
+from shj_bayes.results.device import DiagnosisData, read_diagnosis
 
 FIRST = 2  # loops on the first screen
 MOST = 6  # runs that are drawn

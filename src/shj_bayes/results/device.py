@@ -15,7 +15,8 @@ from shj_bayes.model.history import History, Measured, histories
 from shj_bayes.model.noise import noise_model
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior, Priors
-from shj_bayes.recording.motion import Motion, alternating
+from shj_bayes.recording.motion import IntArray, Motion, alternating
+from shj_bayes.recording.recording import BoolArray
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import netcdf_file, posterior_file, read
@@ -23,8 +24,6 @@ from shj_bayes.results.store import netcdf_file, posterior_file, read
 EXTRA = "extra_"  # before the names of further channels
 FLOATS = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m", "force_kN", "before_kN", "after_kN")
 OLD = ("posterior_predictive", "observed_data")  # groups with every sample in files of shj-bayes/fit/1
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from shj_bayes.model.noise import noise_parameters
 from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 from shj_bayes.recording.columns import TENSION
+from shj_bayes.recording.motion import IntArray
 from shj_bayes.report.figures.canvas import (
     BLUE,
     GREEN,
@@ -32,7 +33,7 @@ from shj_bayes.report.figures.canvas import (
 )
 from shj_bayes.report.numbers import Band, Cycles, DeviceFigures, StrokeProfile, pick_cycle
 from shj_bayes.report.words import KN, ForceUnit, force_unit
-from shj_bayes.results.device import DeviceData, IntArray, RunData
+from shj_bayes.results.device import DeviceData, RunData
 
 STROKE, FORCE = "displacement (mm)", "force (kN)"
 MAX_POINTS, MAX_OVER_SPEED = 6000, 2500
