@@ -1,7 +1,8 @@
 """A small simulated device that fits in well under a second, for every test that needs data."""
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +11,14 @@ from threadpoolctl import threadpool_limits
 from shj_bayes.app import campaign
 from shj_bayes.inference.binning import Run
 from shj_bayes.inference.likelihood import Likelihood, make_likelihood
+from shj_bayes.margins import files
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.noise import DEFAULT, noise_model
 from shj_bayes.model.parameters import base_and_run
 from shj_bayes.model.priors import Priors, read_priors
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.motion import Block, exact_motion
+from shj_bayes.results.tables import Cells, write_workbook
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 
@@ -123,4 +126,16 @@ def no_workers() -> Iterator[None]:
     """Fit the devices of campaigns in this process, where pictures can be left empty."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign, "results_here", lambda _, fit_one, devices: ((d, fit_one(d), "") for d in devices))
+        yield
+
+
+@pytest.fixture(scope="module")
+def brief_workbooks() -> Iterator[None]:
+    """Give a sheet of margins a workbook of its first rows: thousands of them are half of what a command takes."""
+
+    def brief(pages: Mapping[str, Cells], path: Path) -> None:
+        write_workbook({name: Cells(page.heads, page.rows[:9]) for name, page in pages.items()}, path)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(files, "write_workbook", brief)
         yield

@@ -14,7 +14,7 @@ from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.motion import Block
 from shj_bayes.recording.recording import write_csv
 
-SMALL = (Block(12.0, 0.13, 3), Block(24.0, 0.067, 3), Block(24.0, 0.02, 1))
+SMALL = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2), Block(24.0, 0.025, 1))
 
 
 def write_device(folder: Path, name: str, *, seed: int, Fy: float = 80.0) -> list[Path]:

@@ -83,15 +83,15 @@ def test_from_files_to_the_card_of_two_sets(
 ) -> None:
     given = [
         path
-        for i, (name, Fy) in enumerate((("bare-1", 80.0), ("bare-2", 84.0), ("zinc-1", 60.0), ("zinc-2", 62.0)))
+        for i, (name, Fy) in enumerate((("bare-1", 80.0), ("bare-2", 84.0), ("zinc-1", 60.0)))
         for path in write_device(tmp_path, name, seed=i, Fy=Fy)
     ]
     page = show(bench)
     assert not page.locator("#designer").is_visible()
     page.set_input_files("#choose", given)
-    says(page, "8 files read")
-    assert page.locator("#file-rows tr").count() == 8
-    assert page.locator("#file-rows .good").count() == 8
+    says(page, "6 files read")
+    assert page.locator("#file-rows tr").count() == 6
+    assert page.locator("#file-rows .good").count() == 6
     go(page, "sets")
     assert page.locator(".set-card").count() == 2
     go(page, "fit")
@@ -102,7 +102,7 @@ def test_from_files_to_the_card_of_two_sets(
     other = show(bench)  # a second tab sees the same
     go(other, "fit")
     for one in (page, other):
-        until(one, "bench.devices().length === 4 && bench.devices().every((device) => device.fit)", 240)
+        until(one, "bench.devices().length === 3 && bench.devices().every((device) => device.fit)", 240)
     page.locator("#device-rows button").first.click()
     page.get_by_role("button", name="Report", exact=True).click()
     frame = page.frame_locator("iframe.page")
@@ -285,8 +285,8 @@ def test_arranged_by_keyboard_and_by_dragging(show: Open, bench: Served, tmp_pat
     )
 
 
-def test_words_are_explained_where_they_stand(show: Open, bench: Served) -> None:
-    page = show(bench)
+def test_words_are_explained_where_they_stand(show: Open, served: Served) -> None:
+    page = show(served)
     go(page, "sets")
     page.locator(".term", has_text="device").first.focus()
     assert "recordings in the order they were run" in page.locator("#meaning").inner_text()
@@ -294,8 +294,8 @@ def test_words_are_explained_where_they_stand(show: Open, bench: Served) -> None
     assert page.locator("#meaning").is_hidden()
 
 
-def test_an_example_opens_with_one_click(show: Open, bench: Served) -> None:
-    page = show(bench)
+def test_an_example_opens_with_one_click(show: Open, served: Served) -> None:
+    page = show(served)
     page.get_by_role("button", name="Prying taken for speed").click()
     page.locator("#device-detail canvas.plot").wait_for()
     says(page, "What this displacement history cannot tell apart")

@@ -28,7 +28,7 @@ def check(file: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def results(tmp_path_factory: pytest.TempPathFactory, brief_workbooks: None) -> Path:
     folder = tmp_path_factory.mktemp("files")
     made = simulate_device(Truth(gamma=1 / 60), seed=3, rate_Hz=3.0, blocks=BLOCKS)
     runs = [write_csv(folder / f"a-run{i}.csv", run).name for i, run in enumerate(made, start=1)]

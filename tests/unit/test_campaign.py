@@ -23,6 +23,7 @@ from shj_bayes.recording.motion import Block
 from shj_bayes.recording.recording import write_csv
 from shj_bayes.results.campaign import read_campaign
 
+pytestmark = pytest.mark.usefixtures("brief_workbooks")
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 HEAD = 'schema = "shj-bayes/campaign/1"\nname = "small"\n[defaults]\nmax_steps = 60\n'
 CONNECTION = 'bolts = 2\nbolt_mm = 16\nsurfaces = 2\nclamping_kN = 95.5\nslot_mm = 220\nshim = "Bisalloy 500"'

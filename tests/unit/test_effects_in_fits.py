@@ -18,7 +18,7 @@ from shj_bayes.options import FitOptions
 from shj_bayes.recording.motion import Block, exact_motion
 from shj_bayes.recording.recording import Recording, write_csv
 
-BLOCKS = (Block(12.0, 0.13, 4), Block(24.0, 0.067, 4), Block(48.0, 0.034, 4))
+BLOCKS = (Block(12.0, 0.13, 3), Block(24.0, 0.067, 3), Block(48.0, 0.034, 3))
 RATE_HZ = 4.0
 LAW = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.005, "ratio": 0.8}
 SLACK = {"slack.size": 3.0, "slack.softness": 0.1, "slack.start": 0.5}

@@ -23,6 +23,7 @@ from shj_bayes.population.results import write_population
 from shj_bayes.report.margins_page import counted, set_table, told
 
 LABEL = "=cmd|'<b>"
+pytestmark = pytest.mark.usefixtures("brief_workbooks")  # whole ones: test_margins_uses.py
 
 
 @pytest.fixture(scope="module")
