@@ -23,7 +23,7 @@ RATE_HZ = 4.0
 LAW = {"K": 18.0, "Fy": 80.0, "beta": 10.0, "gamma": 0.005, "ratio": 0.8}
 SLACK = {"slack.size": 3.0, "slack.softness": 0.1, "slack.start": 0.5}
 # Not the defaults: every option of a fit is one of a diagnosis.
-CHOSEN = {"noise": "ar1", "free": ("K",), "max_steps": 250, "seed": 3, "threads": 1}
+CHOSEN = {"noise": "ar1", "free": ("K",), "max_steps": 150, "seed": 3, "threads": 1}
 NAMES = ["K", "Fy", "beta", "gamma", "ratio", "K_2", *SLACK, "sigma", "phi"]
 FILES = {"posterior.nc", "summary.csv", "summary.json", "fit.json", "report.html"}
 
@@ -109,7 +109,7 @@ def test_a_fit_beside_a_diagnosis_is_kept(recordings: list[Path], found: shj_bay
 
 def test_a_diagnosis_goes_where_a_tentative_fit_lies(recordings: list[Path], tmp_path: Path) -> None:
     """Such a fit keeps its checkpoint, to be gone on from; it must not stop the diagnosis that it advises."""
-    short = {"max_steps": 200, "seed": 4, "threads": 1}
+    short = {"max_steps": 60, "seed": 4, "threads": 1}
     tentative = shj_bayes.fit(recordings, tmp_path, **short)
     assert tentative.verdict != "reliable"
     left = (tmp_path / "checkpoint.h5").read_bytes()
@@ -125,7 +125,7 @@ def test_speed_dependence_that_was_taken_out_and_found_is_fitted(tmp_path: Path)
     """The law runs without it, so that it is an effect like others."""
     truth = Truth(gamma=1 / 60, sigma=0.4, phi=0.0, displacement_noise_mm=0.0)
     runs = list(simulate_device(truth, seed=8, rate_Hz=4.0, blocks=BLOCKS))
-    found = shj_bayes.diagnose(runs, tmp_path, without=("velocity",), max_steps=200, threads=1)
+    found = shj_bayes.diagnose(runs, tmp_path, without=("velocity",), max_steps=100, threads=1)
     assert "velocity" in found.effects
     assert "gamma" not in found.fit.summary.index
     assert found.fit.summary.loc["velocity.size", "mean"] == pytest.approx(1 / 60, rel=0.05)
