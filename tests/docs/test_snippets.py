@@ -1,8 +1,8 @@
 """Every snippet of the documents runs: commands through the parser and the rooms, Python as it stands.
 
 Long work is made short in ways that leave the words of the documents as they are: the recordings beside them are
-small, samplers are stopped after few steps, a plan weighs three patterns, and the published tables are three sets of
-them. What that leaves out is shown by ``make demo``, the slow tests, and the tests of the rooms.
+small, samplers are stopped after few steps, a plan weighs three patterns, the published tables are three sets of them,
+and workbooks have few rows. What that leaves out is shown by ``make demo``, the slow tests, and the tests of the rooms.
 """
 
 import json
@@ -84,7 +84,7 @@ def commands() -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory: pytest.TempPathFactory, no_workers: None) -> Iterator[Path]:
+def desk(tmp_path_factory: pytest.TempPathFactory, no_workers: None, brief_workbooks: None) -> Iterator[Path]:
     """A folder with the files that the documents speak of; chains are cut short."""
     folder = tmp_path_factory.mktemp("desk")
     few = tuple(d for d in published_devices() if d.set_name in SETS)

@@ -41,7 +41,9 @@ Open = Callable[..., "sync_api.Page"]
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory, fitted: Path, hostile_name: str) -> dict[str, Path]:
+def files(
+    tmp_path_factory: pytest.TempPathFactory, brief_workbooks: None, fitted: Path, hostile_name: str
+) -> dict[str, Path]:
     root = tmp_path_factory.mktemp("pages")
     campaign = make_campaign(root / "campaign", fitted, hostile_name)
     tables = population(tuple("abcde"))
