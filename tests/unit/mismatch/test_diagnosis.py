@@ -358,7 +358,7 @@ def test_a_sudden_change_predicts_cycles_that_were_left_out(lost_clamping):
 
 
 def test_what_does_not_improve_cycles_that_were_left_out_is_not_named(lost_clamping, monkeypatch):
-    def worse(data, metric, state):
+    def worse(metric, state):
         held, more = held_out(metric, state), 3.0 if state.model.effects else 1.0
         return replace(held, squares=held.squares * more**2, log_density=held.log_density * more)
 
