@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.recording.motion import exact_motion, motion_of, table_1
-from shj_bayes.recording.recording import FloatArray, Recording, Source
+from shj_bayes.recording.recording import Recording, Source
 from shj_validation.proof.protocols import course
 
 COUNT_MM = 0.195  # 10 bits over 200 mm

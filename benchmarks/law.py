@@ -24,9 +24,9 @@ from numba import njit
 from numpy_posterior import saturate
 from timing import best
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model import law as kernel
 from shj_bayes.model.law import force_of_laws
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion, exact_motion, table_1
 
 LAW = (18.0, 80.0, 0.01)  # K kN/mm, Fy kN, gamma s/mm

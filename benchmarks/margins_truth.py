@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 from one_set import draws_of_one_set, level_and_spread
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.binning import Run, runs_of
 from shj_bayes.inference.likelihood import make_likelihood
 from shj_bayes.inference.start import _best_noise as best_noise
@@ -49,7 +50,6 @@ from shj_bayes.margins.spread import HIGH, LOW, Sample, common_spread, of_set
 from shj_bayes.margins.uses import OneSet, of_many
 from shj_bayes.margins.virtual_test import LEAST_ERROR, own_readings, virtual_tests
 from shj_bayes.model.device import DeviceModel, effects_named
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import PLAIN
 from shj_bayes.population.device import NO_TAGS

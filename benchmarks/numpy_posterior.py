@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
+from shj_bayes._util.arrays import FloatArray, IntArray
 from shj_bayes.inference.likelihood import Likelihood
-from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import IntArray
 
 _LOG_2PI = math.log(2 * math.pi)
 

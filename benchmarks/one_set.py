@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import logsumexp, ndtr
 from scipy.stats import norm
 
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.population.quantities import PopulationPrior, other_priors, population_prior
 
 LOG_SPREADS = np.linspace(np.log(1e-4), np.log(30.0), 64)

@@ -25,8 +25,8 @@ from numpy_posterior import NumpyPosterior
 from samplers import N_LAW, SAMPLERS, Draws, reference
 from threadpoolctl import threadpool_limits
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.start import find_start, polish
-from shj_bayes.model.parameters import FloatArray
 
 LOST = (ImportError, RuntimeError, OSError)  # not installed, or not for this machine
 

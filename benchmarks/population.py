@@ -24,6 +24,7 @@ import numpy as np
 from scipy import stats
 from scipy.special import ndtr
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.population.device import NO_TAGS, published_devices
 from shj_bayes.population.hierarchy import (
     DeviceSet,
@@ -33,15 +34,7 @@ from shj_bayes.population.hierarchy import (
     fit_quantity,
 )
 from shj_bayes.population.predict import new_device
-from shj_bayes.population.quantities import (
-    FloatArray,
-    QuantityLikelihood,
-    Rounded,
-    of_draws,
-    population_prior,
-    quantity,
-    weighted,
-)
+from shj_bayes.population.quantities import QuantityLikelihood, Rounded, of_draws, population_prior, quantity, weighted
 
 FY = quantity("Fy")
 

@@ -16,11 +16,11 @@ import sys
 import numpy as np
 from devices import device, n_samples
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.fit import evenly_spread, weights_of_all_samples
 from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start, polish
-from shj_bayes.model.parameters import FloatArray
 
 NAMES = ("K", "Fy", "beta", "gamma", "ratio")
 SHIFT_LIMIT, RATIO_LIMIT = 0.05, 0.03

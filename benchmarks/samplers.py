@@ -13,12 +13,12 @@ from numpy_posterior import NumpyPosterior
 from scipy.optimize import minimize
 from timing import Counted
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.convergence import ESS_LIMIT, RHAT_LIMIT, diagnose_chains
 from shj_bayes.inference.fit import evenly_spread, weights_of_all_samples
 from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.inference.sampler import SamplingPlan, run_ensembles
 from shj_bayes.inference.start import Start, find_start, law_starts, polish
-from shj_bayes.model.parameters import FloatArray
 
 N_CHAINS = 4
 N_LAW = 5  # K, Fy, beta, gamma, ratio

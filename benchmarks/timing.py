@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.likelihood import Density
-from shj_bayes.model.parameters import FloatArray
 
 
 class Counted:

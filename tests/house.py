@@ -18,7 +18,7 @@ SRC = ROOT / "src" / "shj_bayes"
 RESULTS = re.compile(r"\b(fit|diagnosis|campaign|population|summary|residual)\.json\b|\b(posterior|diagnosis)\.nc\b")
 READS = re.compile(r"\b(read_json|open_dataset|open_group|InferenceData|from_netcdf|json\.loads?)\(")
 LIMITS = {
-    "lines": 38_746,
+    "lines": 38_742,
     "files": 143,
     "dataclasses": 184,
     "class names that exist twice": 0,

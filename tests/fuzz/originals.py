@@ -13,6 +13,7 @@ import openpyxl
 import scipy.io
 from nptdms import ChannelObject, TdmsWriter
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.files import shipped
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.fit import fit
@@ -24,7 +25,7 @@ from shj_bayes.population.device import published_devices
 from shj_bayes.population.hierarchy import fit_population
 from shj_bayes.population.results import write_population
 from shj_bayes.recording.motion import Block
-from shj_bayes.recording.recording import FloatArray, Recording
+from shj_bayes.recording.recording import Recording
 
 BLOCKS = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))
 TRUTH = Truth(sigma=0.5, phi=0.3)

@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from tqdm import tqdm
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.files import write_text
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.binning import runs_of
@@ -55,7 +56,6 @@ from shj_bayes.results.fit import Trust
 from shj_validation.calibrate_noise import draw_noise, tables
 from shj_validation.calibrate_parts import N_RANKS, draw_margins, ranks_of
 
-Floats = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[2]
 BROKEN = ("white", "jacobian", "signed")
 SHORT = (Block(12.0, 0.13, 2), Block(24.0, 0.067, 2))  # for the tests of the test: half a minute of motion
@@ -74,7 +74,7 @@ class WithJacobian:
     def __init__(self, posterior: Likelihood) -> None:
         self.posterior = posterior
 
-    def log_posterior_free(self, z: Floats) -> Floats:
+    def log_posterior_free(self, z: FloatArray) -> FloatArray:
         """Log posterior density plus the logarithm of d(natural)/d(free)."""
         step = 1e-5
         slopes = [
@@ -220,7 +220,7 @@ def _read(path: Path, head: dict[str, Any]) -> dict[int, dict[str, Any]]:
     return {row["number"]: row for row in rows[1:]}
 
 
-def envelope(n: int, *, sets: int = 4000) -> tuple[Floats, Floats, Floats]:
+def envelope(n: int, *, sets: int = 4000) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Simultaneous 95 % band of the cumulative histogram of n uniform ranks, and the law of its test statistic.
 
     Returns

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import ShjError
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.fit import fit
@@ -26,7 +26,6 @@ from shj_bayes.recording.motion import Block, exact_motion, table_1
 from shj_bayes.recording.recording import Recording
 from shj_bayes.results.fit import Trust
 
-Floats = NDArray[np.float64]
 # Those that the default noise model holds exactly come first.
 KNOWN = ("white", "slow 1 s", "slow 3 s", "slow 30 s")
 NOISES = (*KNOWN, "ar1", "uneven", "drift", "rounded")
@@ -123,8 +122,8 @@ def _recordings(
 
 
 def _with_noise(
-    force: Floats, kind: str, sigma: float, time_s: Floats, speed: Floats, rng: np.random.Generator
-) -> Floats:
+    force: FloatArray, kind: str, sigma: float, time_s: FloatArray, speed: FloatArray, rng: np.random.Generator
+) -> FloatArray:
     """Force as a load cell of this kind would record it; `sigma` is its scatter from sample to sample."""
     restarts = np.arange(time_s.size) == 0
     if kind == "ar1":

@@ -5,17 +5,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.population.hierarchy import fit_quantity
 from shj_bayes.population.quantities import PopulationPrior, QuantityLikelihood, population_prior
 from shj_bayes.results.fit import Trust
 
-Floats = NDArray[np.float64]
 N_RANKS = 99  # nearly independent posterior draws for each rank
 
 
-def ranks_of(posterior: Mapping[str, Floats], values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
+def ranks_of(posterior: Mapping[str, FloatArray], values: Mapping[str, float]) -> dict[str, dict[str, Any]]:
     """Rank of each true value among nearly independent draws, and the share of all draws below it."""
     ranks: dict[str, int] = {}
     below: dict[str, float] = {}

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from scipy.special import fdtrc
 
-from shj_bayes.population.quantities import FloatArray
+from shj_bayes._util.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.population.compare import permutation_test
 from shj_bayes.population.device import DEVICE_TABLES, Claim, Holding, PublishedRow, published_rows
-from shj_bayes.population.quantities import FloatArray
 from shj_validation.contrasts import two_way_anova
 
 COATINGS = ("Sweep blasted", "Alkyd 70", "Alkyd 100", "Zinc 70", "Zinc 100")

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model.device import force_with_effects
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, catalogue
 from shj_bayes.model.history import History, histories
@@ -19,7 +19,7 @@ from shj_bayes.recording.recording import Recording
 
 RATE_HZ = 5.0
 Values = dict[str, dict[str, float]]
-Shape = Callable[[History], NDArray[np.float64]]
+Shape = Callable[[History], FloatArray]
 
 EFFECTS: Values = {
     "prying": {"size": 0.08, "power": 2.0},
@@ -114,14 +114,14 @@ def _whole(effect: Effect, given: dict[str, float]) -> dict[str, float]:
     return {p.name: given.get(p.name, float(p.distribution.median())) for p in effect.parameters}
 
 
-def ar1(phi: float, n: int, rng: np.random.Generator, *, nu: float = np.inf) -> NDArray[np.float64]:
+def ar1(phi: float, n: int, rng: np.random.Generator, *, nu: float = np.inf) -> FloatArray:
     """Noise of 1 kN with correlation `phi` from sample to sample; its innovations follow Student's t."""
     draw = rng.standard_t(nu, n) if np.isfinite(nu) else rng.standard_normal(n)
     draw[0] /= np.sqrt(1 - phi**2)
     return np.asarray(lfilter([np.sqrt(1 - phi**2)], [1.0, -phi], draw))
 
 
-def _noise(kind: str, speed: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+def _noise(kind: str, speed: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Force noise of about 1 kN."""
     n = speed.size
     if kind == "white":

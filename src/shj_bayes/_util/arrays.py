@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 
 def frozen(values: ArrayLike, kind: type[np.generic] = np.float64) -> NDArray[Any]:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.files import alone_in, file_digest, write_text
 from shj_bayes.app.resume import (
     CommandResult,
@@ -34,7 +35,7 @@ from shj_bayes.inference.sampler import LIBRARY, SamplingPlan
 from shj_bayes.inference.start import find_start
 from shj_bayes.inference.store import versions
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.parameters import FloatArray, base_parameters
+from shj_bayes.model.parameters import base_parameters
 from shj_bayes.model.priors import read_priors, shipped_families
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.options import DiagnoseOptions, FitOptions

@@ -13,14 +13,13 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from shj_bayes._util.arrays import BoolArray, FloatArray, IntArray
 from shj_bayes.errors import InferenceError
 from shj_bayes.model.device import UNLOADED, DeviceModel
 from shj_bayes.model.filter import Timing
 from shj_bayes.model.history import History, Measured, histories, measured_in, thinned
-from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import NEAR, IntArray, Motion, degree_for, motion_of
+from shj_bayes.recording.motion import NEAR, Motion, degree_for, motion_of
 from shj_bayes.recording.recording import Recording
 from shj_bayes.recording.smoothing import Channel, Refusal, channel_of
 
@@ -59,7 +58,7 @@ class Run:
             )
 
     @cached_property
-    def used(self) -> NDArray[np.bool_]:
+    def used(self) -> BoolArray:
         """Samples that are evidence: neither repaired nor so near a reversal that their side of it is not known."""
         used, unsure = self.recording.used, self.motion.unsure
         assert used is not None

@@ -16,14 +16,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtri, ndtri
 
+from shj_bayes._util.arrays import FloatArray, IntArray
 from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.inference.start import Start
 from shj_bayes.model.filter import whiten
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.fit import Trust
 
 TAILS = (0.05, 0.95)
@@ -324,7 +323,7 @@ def _information(posterior: Likelihood, start: Start) -> FloatArray:
     return np.concatenate(out)
 
 
-def cycles_through(n_half: Sequence[int], width: int = 2) -> NDArray[np.int64]:
+def cycles_through(n_half: Sequence[int], width: int = 2) -> IntArray:
     """Cycle of each half-cycle of runs that have so many, a cycle being `width` of them, numbered through all runs.
 
     The first half-cycle of a run is a quarter and joins the cycle after it.
@@ -337,7 +336,7 @@ def cycles_through(n_half: Sequence[int], width: int = 2) -> NDArray[np.int64]:
     return np.concatenate(out)
 
 
-def _stretches(posterior: Likelihood) -> NDArray[np.int64]:
+def _stretches(posterior: Likelihood) -> IntArray:
     """Stretch of neighbouring half-cycles of equal amplitude that each half-cycle belongs to."""
     amplitudes = [history.amplitude_mm[history.motion.start[:-1]] for history in posterior.histories]
     largest = posterior.histories[0].half_stroke_mm

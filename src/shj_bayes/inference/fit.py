@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from shj_bayes._util.arrays import FloatArray, IntArray
 from shj_bayes.inference import store
 from shj_bayes.inference.binning import Run
 from shj_bayes.inference.convergence import Diagnostics, FitVerdict, Widening, judge, pareto_k, widening_of
@@ -25,7 +25,6 @@ from shj_bayes.inference.start import Start, find_start, root_of
 from shj_bayes.inference.store import remarks_of
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.filter import whiten
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.fit import FitRecord, Trust
 from shj_bayes.results.store import CHECKPOINT, Group
 
@@ -210,7 +209,7 @@ def _whitened(posterior: Likelihood, start: Start) -> FloatArray:
     return np.concatenate([white.ravel() for white, _ in pairs])
 
 
-def evenly_spread(weights: FloatArray) -> NDArray[np.int64]:
+def evenly_spread(weights: FloatArray) -> IntArray:
     """Choose as many draws as there are, in their order, as often as their weights ask, shape (n_ensembles, n)."""
     n = weights.shape[1]
     shares, places = np.cumsum(weights, axis=1) / weights.sum(axis=1, keepdims=True), (np.arange(n) + 0.5) / n

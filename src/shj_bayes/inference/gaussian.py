@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes._util.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,13 @@ from typing import Protocol
 import numpy as np
 
 import shj_bayes
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import InferenceError, PriorError
 from shj_bayes.inference.binning import Blocks, Run, histories_of, reduce_runs
 from shj_bayes.model.device import DeviceModel, linear_in, slopes_of
 from shj_bayes.model.filter import LANES, log_density, sd_over_speed, slowness
 from shj_bayes.model.history import History
-from shj_bayes.model.parameters import FloatArray, base_of
+from shj_bayes.model.parameters import base_of
 
 
 class Density(Protocol):

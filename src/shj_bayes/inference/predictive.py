@@ -5,13 +5,12 @@ import math
 import numpy as np
 from numba import njit
 
+from shj_bayes._util.arrays import FloatArray, IntArray
 from shj_bayes.inference.binning import BinnedRun, Run
 from shj_bayes.inference.likelihood import Likelihood, variance_over_speed
 from shj_bayes.model.filter import Timing, density_and_zero, table_of
 from shj_bayes.model.history import thinned
 from shj_bayes.model.noise import Noise, Values
-from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import IntArray
 
 PIECE = 50  # parameter sets at a time, so that memory stays small
 

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.likelihood import Density
 from shj_bayes.inference.start import Start, root_of
-from shj_bayes.model.parameters import FloatArray
 
 TAIL = 20.0  # degrees of freedom: nearly normal, as the posterior is near each point of its ridges
 N_ROUNDS, N_DRAWS = (3, 14), 512  # rounds at least and at most

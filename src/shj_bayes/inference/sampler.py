@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 from tqdm import tqdm
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.files import open_ordinary, replacing
 from shj_bayes._util.imports import without
 from shj_bayes.errors import CheckpointError, InferenceError, StrangeCheckpointError
@@ -21,7 +22,6 @@ from shj_bayes.inference.convergence import TAU_LIMIT, Diagnostics, diagnose_cha
 from shj_bayes.inference.likelihood import Density, SharedDensity, n_threads
 from shj_bayes.inference.proposal import Proposal, fit_proposal
 from shj_bayes.inference.start import Start, root_of
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.fit import Trust
 
 SCHEMA = "shj-bayes/checkpoint/1"

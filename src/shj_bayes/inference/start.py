@@ -8,13 +8,14 @@ from itertools import combinations, product
 import numpy as np
 from scipy.optimize import brentq, least_squares, minimize, minimize_scalar
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import InferenceError
 from shj_bayes.inference.binning import BinnedRun, Blocks
 from shj_bayes.inference.likelihood import STEP, Density, Likelihood, SharedDensity, n_threads
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.filter import AT_REST_SD, log_density
-from shj_bayes.model.parameters import FloatArray, base_and_run
+from shj_bayes.model.parameters import base_and_run
 
 Z_LIMIT = 12.0  # of the standardised parameters
 N_STARTS = 5

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import shj_bayes
+from shj_bayes._util.arrays import FloatArray, IntArray
 from shj_bayes._util.files import file_digest, replacing, reserve, write_text
 from shj_bayes.inference.binning import Run, measured_of
 from shj_bayes.inference.likelihood import Likelihood
 from shj_bayes.inference.predictive import force_at_points, half_cycles, points_of, zero_of_run
 from shj_bayes.model.device import DeviceModel, meaning_of
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.codec import from_json, to_json
 from shj_bayes.results.device import EXTRA
 from shj_bayes.results.fit import (
@@ -338,7 +338,7 @@ def extra_names(posterior: Likelihood) -> dict[str, str]:
     return {extra.name: extra.unit or "" for run in posterior.runs for extra in run.recording.extras}
 
 
-def _channels(posterior: Likelihood, points: Sequence[NDArray[np.int64]]) -> dict[str, NDArray[Any]]:
+def _channels(posterior: Likelihood, points: Sequence[IntArray]) -> dict[str, NDArray[Any]]:
     """Channels that the law and the pages need, at points of the runs, one run after the other."""
     of_runs = [
         {

@@ -9,12 +9,13 @@ from typing import TypeVar
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.spread import HIGH, LOW, MIDDLE
 from shj_bayes.model.parameters import base_of
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.predict import NewDevice, new_device
-from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, THIRD_CYCLE, FloatArray, band_of, stream
+from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, THIRD_CYCLE, band_of, stream
 
 FEW = 3
 DEFAULT = "default"

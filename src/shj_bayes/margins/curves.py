@@ -12,11 +12,11 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.margins.specimen import Specimen
 from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.effect import Effect, combine
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.population.compare import ROPE_SPEED, Stratum, members, shift_of, strata_of
 from shj_bayes.population.hierarchy import (
     FEWER_DRAWS,

@@ -20,6 +20,7 @@ import numpy as np
 from scipy import optimize
 from scipy.special import hyp2f1
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.files import write_text
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import (
@@ -36,7 +37,7 @@ from shj_bayes.margins.virtual_test import VirtualTestResult
 from shj_bayes.model.law import BETA_RANGE, work_between
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
 from shj_bayes.population.predict import N_POINTS, LoopBand, new_device, sets_suffice
-from shj_bayes.population.quantities import LEVELS, FloatArray, band_of
+from shj_bayes.population.quantities import LEVELS, band_of
 from shj_bayes.results.campaign import Connection
 from shj_bayes.results.tables import Cells
 

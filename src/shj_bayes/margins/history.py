@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import PopulationError, plain_text
 from shj_bayes.margins.specimen import Belief, Specimen, drive, largest_ranges
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.history import History, histories, on_scales_of
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.options import MarginOptions
 from shj_bayes.recording.columns import choose_history
 from shj_bayes.recording.motion import Block, Motion, alternating, exact_motion, hysteresis

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import (
     DEFAULT,
@@ -56,7 +57,7 @@ from shj_bayes.options import PLAIN, MarginOptions
 from shj_bayes.population.device import RangeTested
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, QuantityPosterior, fit_population
 from shj_bayes.population.predict import never_tested_words, sets_suffice
-from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, THIRD_CYCLE, FloatArray
+from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, THIRD_CYCLE
 from shj_bayes.population.quantities import quantity as described
 from shj_bayes.results.campaign import Connection
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import InferenceError, PopulationError, ReportError, shown
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History, histories
 from shj_bayes.model.law import BETA_RANGE
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
 from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
 from shj_bayes.population.quantities import QUANTITIES

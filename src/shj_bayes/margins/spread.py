@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import fdtrc
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.hierarchy import DeviceSet
-from shj_bayes.population.quantities import FloatArray, quantity
+from shj_bayes.population.quantities import quantity
 
 BANDS, TESTING, TOLERANCE, FACTORS = "new device", "EN 1990", "tolerance", "factor"
 DESIGN, SPREAD, USE = "design", "spread", "use"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import (
     PredictiveDevices,
@@ -18,7 +19,7 @@ from shj_bayes.margins.codes.code import Given
 from shj_bayes.margins.spread import HIGH, LOW, MIDDLE, USE, Margin
 from shj_bayes.options import in_mm
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
-from shj_bayes.population.quantities import BATCHES, HIGHEST, LOWEST, THIRD_CYCLE, FloatArray, Ordered, quantity, stream
+from shj_bayes.population.quantities import BATCHES, HIGHEST, LOWEST, THIRD_CYCLE, Ordered, quantity, stream
 from shj_bayes.results.campaign import Connection
 
 DECISION = "decision 0006"

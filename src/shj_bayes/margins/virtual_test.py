@@ -10,14 +10,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from shj_bayes._util.arrays import BoolArray, FloatArray
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.history import LoadCase, LoadingHistory, MeasuredChannel, allowed, load_cases, measured_channels
 from shj_bayes.margins.specimen import Belief, Specimen, drive
 from shj_bayes.margins.spread import HIGH, LOW
 from shj_bayes.model.history import History
-from shj_bayes.model.parameters import FloatArray, base_of
+from shj_bayes.model.parameters import base_of
 from shj_bayes.population.device import NO_TAGS, DeviceEstimate, Tags
 from shj_bayes.population.quantities import HIGHEST, LEAST, LOWEST, MOST, Band, Ordered, QuantityLikelihood, band_of
 from shj_bayes.population.readings import (
@@ -282,7 +282,7 @@ def over_amplitude(tests: Sequence[VirtualTestResult]) -> tuple[CyclePoint, ...]
     return tuple(out)
 
 
-def _cycle(readings: Readings, chosen: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+def _cycle(readings: Readings, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Effective stiffness and damping of some half-cycles, each of shape (m,)."""
     amplitude = float(readings.amplitude_mm[chosen].mean())
     stiffness = np.maximum(readings.end_kN[:, chosen].mean(axis=1), 1e-9) / amplitude

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.binning import Run, further_of, measured_of
 from shj_bayes.mismatch.data import BinnedData
 from shj_bayes.mismatch.findings import Answer, FoundEffect, Reason, curve_band, rivals_of
@@ -18,7 +19,7 @@ from shj_bayes.mismatch.regions import WORDS, run_of
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.effect import Effect, catalogue
 from shj_bayes.model.history import Measured, coordinate_of
-from shj_bayes.model.parameters import LAW_PARAMETERS, FloatArray, base_and_run
+from shj_bayes.model.parameters import LAW_PARAMETERS, base_and_run
 from shj_bayes.results.diagnosis import (
     CandidateRecord,
     ChannelRecord,

@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
+from shj_bayes._util.arrays import BoolArray, FloatArray
 from shj_bayes.inference.binning import Blocks, Run
 from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.likelihood import Likelihood, make_likelihood
@@ -25,8 +26,6 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.filter import AT_REST_SD, LOG_2PI, Timing, sd_over_speed, slowness, whiten
 from shj_bayes.model.law import force_of_laws, masing_force
-from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.recording import BoolArray
 
 COARSER = 2.5  # blocks than those of a fit: many models are compared
 MODEL_ERROR = 0.003  # of Fy: scale of the half-normal prior of the discrepancy, the error of a good model of a device

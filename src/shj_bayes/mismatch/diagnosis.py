@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from shj_bayes._util.arrays import one_blas_thread
+from shj_bayes._util.arrays import FloatArray, one_blas_thread
 from shj_bayes._util.files import replacing
 from shj_bayes.inference.binning import Run
 from shj_bayes.inference.store import versions
@@ -31,7 +31,6 @@ from shj_bayes.mismatch.regions import aliases_of, regions_of
 from shj_bayes.mismatch.screen import beside_missed
 from shj_bayes.mismatch.search import search
 from shj_bayes.model.device import DeviceModel, effects_named
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.options import DiagnoseOptions
 from shj_bayes.results.codec import to_json
 from shj_bayes.results.diagnosis import SCHEMA, DiagnosedModel, DiagnosisRecord, EvidenceRecord, Input, Sampled

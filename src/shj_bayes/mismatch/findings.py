@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import expit, logsumexp, softmax
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.mismatch.data import BinnedData
 from shj_bayes.mismatch.fitter import Fitter
 from shj_bayes.mismatch.hypothesis import (
@@ -38,7 +39,6 @@ from shj_bayes.mismatch.moves import Search, beside_direction, following
 from shj_bayes.mismatch.screen import missed_by, screen
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.effect import catalogue
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import NOTHING_MISSING, SIGMA_90, DiagnosisVerdict
 
 T = TypeVar("T")

@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.start import start_values
 from shj_bayes.mismatch.data import BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.hypothesis import (
@@ -29,7 +30,6 @@ from shj_bayes.mismatch.screen import screen
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import catalogue
-from shj_bayes.model.parameters import FloatArray
 
 WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
 FLAT = 1e3  # of Fy: a constant force as large as any

@@ -5,15 +5,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from shj_bayes._util.arrays import FloatArray, IntArray
 from shj_bayes.inference.convergence import cycles_through
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.findings import Answer, Reason, answer_of
 from shj_bayes.mismatch.hypothesis import ALPHA, Hypothesis, without
 from shj_bayes.mismatch.laplace import Laplace, laplace, laplace_under
 from shj_bayes.mismatch.moves import Search
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.codec import finite
 from shj_bayes.results.diagnosis import DiagnosisVerdict, Dropped
 
@@ -77,7 +76,7 @@ class Gain:
         return self.elpd > 0.0 and not self.is_worse
 
 
-def cycles_of(data: BinnedData) -> NDArray[np.int64]:
+def cycles_of(data: BinnedData) -> IntArray:
     """Cycle of each block, counted through all runs; half-cycles where there are few cycles."""
     blocks = [np.diff(part.timing.half) for part in data.blocks]  # of each half-cycle
     n_half = [own.size for own in blocks]
@@ -85,7 +84,7 @@ def cycles_of(data: BinnedData) -> NDArray[np.int64]:
     return np.repeat(cycle, np.concatenate(blocks))
 
 
-def places_left_out(data: BinnedData) -> tuple[NDArray[np.int64], int]:
+def places_left_out(data: BinnedData) -> tuple[IntArray, int]:
     """Give for each block the place of its cycle among those that are left out (below 0: it is not), and their number.
 
     The first cycle of a run is none of them.

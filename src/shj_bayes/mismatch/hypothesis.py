@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.start import extended, start_values
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.laplace import Laplace, drawn_from, largest, visible
@@ -18,7 +19,6 @@ from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect, catalogue
 from shj_bayes.model.history import Measured
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import DependenceId
 
 MIN_EFFECT = 0.01  # of Fy: a smaller effect is negligible for design

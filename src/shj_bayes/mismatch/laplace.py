@@ -7,12 +7,12 @@ from itertools import product
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.inference.start import most_probable_noise, orthogonal_to, reach_after, root_of, step_within
 from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect
-from shj_bayes.model.parameters import FloatArray
 
 Z_LIMIT = 12.0
 ROUNDS = 40

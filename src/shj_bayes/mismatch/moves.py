@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.fitter import Fitter, noise_beside
 from shj_bayes.mismatch.hypothesis import (
@@ -37,7 +38,6 @@ from shj_bayes.mismatch.laplace import laplace_under, visible
 from shj_bayes.mismatch.periodic import Chatter
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.model.coordinates import coordinates_of
-from shj_bayes.model.parameters import FloatArray
 
 PROMISING = 0.7  # of what matters, to first order; less is not followed
 ROUGHLY = 2.0  # factor by which an effect may be larger than it is to first order where its search begins

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.special import ndtri
 
+from shj_bayes._util.arrays import BoolArray, FloatArray
 from shj_bayes.inference.gaussian import log_gains
 from shj_bayes.mismatch.data import AVERAGED_S, BinnedData, ErrorModel
 from shj_bayes.mismatch.hypothesis import (
@@ -27,7 +28,6 @@ from shj_bayes.model.coordinates import Coordinate, coordinates, coordinates_of
 from shj_bayes.model.curve import PERIODS_PER_UNIT, SIZES, Curve
 from shj_bayes.model.effects.effect import Effect, Values
 from shj_bayes.model.filter import AT_REST_SD
-from shj_bayes.model.parameters import FloatArray
 
 PER_STROKE = 8  # places at which a stroke is looked at
 
@@ -106,7 +106,7 @@ def by_stroke(data: BinnedData, columns: Sequence[FloatArray]) -> list[FloatArra
     return [np.array(own).reshape(len(own), PER_STROKE, columns[0].shape[1]) for own in strokes.values()]
 
 
-def keep_step(strokes: Sequence[NDArray[Any]], *, sides: bool = False) -> NDArray[np.bool_]:
+def keep_step(strokes: Sequence[NDArray[Any]], *, sides: bool = False) -> BoolArray:
     """Whether most of each function, more than half its variance, is the same in each cycle, shape (p,).
 
     Of functions, which may be complex, as from `by_stroke`; with `sides` their variance is that about their means in

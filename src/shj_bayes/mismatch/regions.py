@@ -3,15 +3,14 @@
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from shj_bayes._util.arrays import BoolArray, FloatArray, IntArray
 from shj_bayes.inference.start import extended, orthogonal_to
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.laplace import Laplace
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.effects.effect import catalogue
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.diagnosis import Alias, Location
 
 HIDDEN = 0.1  # share of an effect that must survive a refit of the base law for the history to show it at all
@@ -110,12 +109,12 @@ def regions_of(metric: ErrorModel, base: Laplace) -> list[Location]:
     return kept
 
 
-def run_of(data: BinnedData) -> NDArray[np.int64]:
+def run_of(data: BinnedData) -> IntArray:
     """Give the number of the run of each block."""
     return np.concatenate([np.full(part.n, part.history.run) for part in data.blocks])
 
 
-def _side(word: str, inside: NDArray[np.bool_], sense: FloatArray) -> FloatArray:
+def _side(word: str, inside: BoolArray, sense: FloatArray) -> FloatArray:
     """Column of a region: signed with the motion, or 1 in one direction."""
     if word == "both":
         return np.asarray(inside * np.sign(sense))

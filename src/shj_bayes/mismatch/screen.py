@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import expit
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.gaussian import Gaussian, log_gains
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.hypothesis import (
@@ -20,7 +21,6 @@ from shj_bayes.mismatch.hypothesis import (
 )
 from shj_bayes.mismatch.laplace import Laplace
 from shj_bayes.model.curve import SIZES, Curve
-from shj_bayes.model.parameters import FloatArray
 
 SIZES_OF_STARTS = np.array([0.25, 0.5, 1.0, 2.0, 4.0])  # of an effect at the values that a search starts from
 

@@ -23,14 +23,13 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from shj_bayes._util.arrays import BoolArray, FloatArray
 from shj_bayes.errors import InferenceError, ReportError
 from shj_bayes.mismatch.hypothesis import ALPHA, MIN_EFFECT, PRIOR_INCLUSION
 from shj_bayes.mismatch.moves import PROMISING
 from shj_bayes.model.coordinates import coordinates_of
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.results.campaign import SetTogether, SharedDependence
 from shj_bayes.results.diagnosis import DependenceId, DiagnosisRecord, EvidenceRecord
 from shj_bayes.results.store import read
@@ -60,7 +59,7 @@ class DiagnosedDevice:
             raise ValueError("sets of classes and their weights do not belong together")
 
     @cached_property
-    def holds(self) -> NDArray[np.bool_]:
+    def holds(self) -> BoolArray:
         """Which classes each set holds, shape (m, n)."""
         return np.array([[i in places for i in range(len(self.evidence.classes))] for places in self.evidence.sets])
 

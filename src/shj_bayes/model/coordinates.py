@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 from numba import njit
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import ModelError, did_you_mean
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.effects.sliding import passes, slid_m, slid_mm, slid_since_mm
 from shj_bayes.model.history import PREFIX, History, Measured
-from shj_bayes.model.parameters import FloatArray
 
 LOW_SPEED = 0.02  # of the peak speed, below which the logarithmic scale of the speed is linear
 SHORT_SLIP = 0.01  # of the half stroke, likewise for the distance slid

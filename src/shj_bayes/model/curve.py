@@ -16,11 +16,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model.coordinates import Coordinate, coordinate_named, coordinates
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.effects.sliding import felt
 from shj_bayes.model.history import PREFIX, History
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
 ACTIONS = ("capacity", "added")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainc, gammaincinv
 
+from shj_bayes._util.arrays import BoolArray, FloatArray, IntArray
 from shj_bayes.errors import ModelError, did_you_mean
 from shj_bayes.model.curve import curve_named
 from shj_bayes.model.effects.effect import LEAST, Base, Contribution, Effect, catalogue, combine
@@ -18,7 +19,7 @@ from shj_bayes.model.effects.sliding import at_speed, changes_of_force, gone_fur
 from shj_bayes.model.history import History, delayed
 from shj_bayes.model.law import force_of_laws, variant_named
 from shj_bayes.model.noise import DEFAULT, Noise, noise_model
-from shj_bayes.model.parameters import SHAREABLE, FloatArray, Parameter, describe, run_name
+from shj_bayes.model.parameters import SHAREABLE, Parameter, describe, run_name
 from shj_bayes.model.priors import Laws, Priors
 
 UNLOADED = 0.1  # of the sliding force: a test that begins with less than this begins unloaded
@@ -85,7 +86,7 @@ class _Late(NamedTuple):
 
     history: History  # as recorded
     moved: History  # of the moment that the force is of
-    own: NDArray[np.int64]  # which of its points those of the recording are
+    own: IntArray  # which of its points those of the recording are
     interpolated_s: float  # delay by which the force is read between the points; 0 where the motion is that of then
     base: Base
     parts: tuple[Contribution, ...]  # of each effect
@@ -267,7 +268,7 @@ class DeviceModel:
         return {name: float(prior.from_free(np.asarray(value))) for name, prior, value in pairs}
 
     @cached_property
-    def predicted(self) -> NDArray[np.bool_]:
+    def predicted(self) -> BoolArray:
         """For each parameter, whether other cycles tell of it: not of the state in which a test began, shape (d,)."""
         initial = {f"{effect.id}.{name}" for effect in self.effects for name in effect.initial}
         return np.array([name not in initial for name in self.names])

@@ -27,14 +27,11 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from shj_bayes._util.arrays import freeze
+from shj_bayes._util.arrays import BoolArray, FloatArray, IntArray, freeze
 from shj_bayes.errors import ModelError
 from shj_bayes.model.noise import Noise, Values
-from shj_bayes.model.parameters import FloatArray
 
-IntArray = NDArray[np.int64]
 LOG_2PI = math.log(2 * math.pi)
 LANES = 8  # parameter sets side by side
 N_ROWS = 17
@@ -156,7 +153,7 @@ def whiten(
 
 
 def simulate(
-    noise: Noise, values: dict[str, float], time_s: FloatArray, restarts: NDArray[np.bool_], rng: np.random.Generator
+    noise: Noise, values: dict[str, float], time_s: FloatArray, restarts: BoolArray, rng: np.random.Generator
 ) -> FloatArray:
     """Draw one noise series, sample by sample, kN, for one set of parameters.
 

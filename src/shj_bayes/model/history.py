@@ -9,16 +9,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from shj_bayes._util.arrays import freeze, frozen
+from shj_bayes._util.arrays import FloatArray, IntArray, freeze, frozen
 from shj_bayes.errors import ModelError
 from shj_bayes.model.law import NEAR_TURNING, ROWS, SLOWING, course_of, fill_between
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.smoothing import Channel
 
-Way = tuple[FloatArray, NDArray[np.int64]]
+Way = tuple[FloatArray, IntArray]
 STANDING = 0.01  # of the peak speed; below the slowest blocks of a test at several speeds
 
 RECALLED = 32  # arrays that a history keeps of what was worked out of it
@@ -85,7 +83,7 @@ class History:
     passing: bool = False  # whether the motion hangs on parameters, so that nothing large is kept of it
     # recalled, late: arrays that followed from it, for `recall`; what `delayed` made of it, by the delay, s
     recalled: dict[Hashable, FloatArray] = field(init=False, repr=False, default_factory=dict)
-    late: dict[float, tuple[History, NDArray[np.int64]] | None] = field(init=False, repr=False, default_factory=dict)
+    late: dict[float, tuple[History, IntArray] | None] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
@@ -125,7 +123,7 @@ class History:
             self.recalled[key] = make()
         return self.recalled[key]
 
-    def reduced(self, rows: FloatArray, start: NDArray[np.int64], kept: NDArray[np.int64] | None = None) -> History:
+    def reduced(self, rows: FloatArray, start: IntArray, kept: IntArray | None = None) -> History:
         """Give the history at fewer points, which need not be samples.
 
         `rows`, shape (9, n), are channels there in the order of `ROWS`, `start` is where in them each half-cycle
@@ -178,7 +176,7 @@ class History:
         return frozen(out.reshape(len(ROWS), -1)), begins
 
     @cached_property
-    def turned(self) -> tuple[History, NDArray[np.int64]]:
+    def turned(self) -> tuple[History, IntArray]:
         """History with the samples of `way`, and which of its samples are those of this one."""
         return _with_way(self, 0.0, self.motion.start)
 
@@ -188,7 +186,7 @@ class History:
         return np.asarray(self.position_mm / self.half_stroke_mm)
 
 
-def thinned(history: History, keep: NDArray[np.int64]) -> History:
+def thinned(history: History, keep: IntArray) -> History:
     """History at some of its samples, of which each half-cycle has one at least."""
     return history.reduced(history.rows[:, keep], np.searchsorted(keep, history.motion.start), keep)
 
@@ -295,7 +293,7 @@ def histories(
     return tuple(out)
 
 
-def delayed(history: History, lag_s: float) -> tuple[History, NDArray[np.int64]] | None:
+def delayed(history: History, lag_s: float) -> tuple[History, IntArray] | None:
     """`History.turned` of the moment `lag_s` ago (or to come); None where that leaves a half-cycle without samples."""
     known = history.late
     if lag_s not in known:
@@ -308,7 +306,7 @@ def delayed(history: History, lag_s: float) -> tuple[History, NDArray[np.int64]]
     return known[lag_s]
 
 
-def _with_way(history: History, lag_s: float, start: NDArray[np.int64]) -> tuple[History, NDArray[np.int64]]:
+def _with_way(history: History, lag_s: float, start: IntArray) -> tuple[History, IntArray]:
     """Make the history of a moment ago, with its half-cycles from `start` on, and say where its samples are."""
     motion, (way, begins) = history.motion, history.way
     first = motion.start[:-1]
@@ -336,7 +334,7 @@ def _channels(rows: FloatArray) -> dict[str, Any]:
     return {name: row for name, row in zip(ROWS, rows, strict=True) if name in ARRAYS}
 
 
-def _near_turning(motion: Motion) -> NDArray[np.int64]:
+def _near_turning(motion: Motion) -> IntArray:
     """Find the samples at the distances `NEAR_TURNING` before each turning point, and the last two before it."""
     near = np.asarray(NEAR_TURNING) * 0.5 * float(np.ptp(motion.displacement_mm))
     out = [np.zeros(0, dtype=np.int64)]

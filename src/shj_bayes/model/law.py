@@ -20,8 +20,8 @@ from numba.extending import intrinsic
 from numpy.polynomial.chebyshev import cheb2poly
 from numpy.typing import ArrayLike
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import ModelError, did_you_mean
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion
 
 PUBLISHED, CONTINUOUS = 0, 1

@@ -3,9 +3,6 @@
 from functools import cache
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from shj_bayes.errors import ModelError
 from shj_bayes.model.noise import noise_parameters
 
@@ -26,7 +23,6 @@ _LAW = (
     Parameter("ratio", "1", "sliding force of the second run / first run"),
 )
 LAW_PARAMETERS = {parameter.name: parameter for parameter in _LAW}
-FloatArray = NDArray[np.float64]
 SHAREABLE = ("K", "beta", "gamma")
 
 

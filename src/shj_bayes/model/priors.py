@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.files import read_toml, shipped
 from shj_bayes.errors import PriorError, did_you_mean, shown
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.model.noise import noise_parameters
-from shj_bayes.model.parameters import FloatArray, base_and_run, base_parameters, describe
+from shj_bayes.model.parameters import base_and_run, base_parameters, describe
 
 SCHEMA = "shj-bayes/priors/1"
 LAWS = {

@@ -11,6 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import InferenceError, PopulationError
 from shj_bayes.inference.binning import Run
 from shj_bayes.inference.likelihood import Likelihood, make_likelihood
@@ -19,7 +20,6 @@ from shj_bayes.inference.store import remarks_of
 from shj_bayes.mismatch.data import data_of
 from shj_bayes.mismatch.regions import aliases_of
 from shj_bayes.model.device import DeviceModel, meaning_of
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.population.readings import counted_from, of_readings, read_off
 from shj_bayes.recording.motion import one_peak_speed
 from shj_bayes.results.diagnosis import Alias

@@ -14,12 +14,13 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import PlanError, did_you_mean
 from shj_bayes.inference.gaussian import Gaussian
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.model.device import DeviceModel, meaning_of
 from shj_bayes.model.history import histories
-from shj_bayes.model.parameters import FloatArray, run_name
+from shj_bayes.model.parameters import run_name
 from shj_bayes.planning.protocol import Protocol
 from shj_bayes.planning.rivals import PLANNED, PretestPosterior, RivalModel, entropy_of
 from shj_bayes.population.readings import Readings, counted_from, of_readings, read_off

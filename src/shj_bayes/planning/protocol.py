@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.files import read_toml
 from shj_bayes.errors import PlanError, did_you_mean, shown
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import Motion, alternating, table_1
 
 SHARPNESS = 0.98  # of the triangle: 1 has corners, which no actuator follows; the peak speed is held over most of it

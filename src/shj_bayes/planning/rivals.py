@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri, logsumexp, nctdtrit, ndtri
 
-from shj_bayes._util.arrays import one_blas_thread
+from shj_bayes._util.arrays import BoolArray, FloatArray, one_blas_thread
 from shj_bayes._util.files import damage_told
 from shj_bayes.errors import PlanError, did_you_mean
 from shj_bayes.inference.binning import BinnedRun, Blocks, Run, reduce_runs
@@ -47,11 +47,11 @@ from shj_bayes.model.curve import SIZES, Curve
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.history import SCALES, History, coordinate_of, histories
-from shj_bayes.model.parameters import FloatArray, base_and_run, run_name
+from shj_bayes.model.parameters import base_and_run, run_name
 from shj_bayes.options import DiagnoseOptions
 from shj_bayes.planning.protocol import Protocol, Rig
 from shj_bayes.recording.motion import Motion
-from shj_bayes.recording.recording import BoolArray, Column, Recording, Source
+from shj_bayes.recording.recording import Column, Recording, Source
 from shj_bayes.results.device import DeviceResult
 from shj_bayes.results.diagnosis import DependenceId, DiagnosisRecord
 from shj_bayes.results.fit import FitRecord

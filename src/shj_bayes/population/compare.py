@@ -15,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, ndtr, stdtr, stdtrit
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import Tags
 from shj_bayes.population.hierarchy import PopulationResult
-from shj_bayes.population.quantities import Band, FloatArray, band_of, quantity
+from shj_bayes.population.quantities import Band, band_of, quantity
 
 Kind = tuple[Callable[[Tags], bool], Callable[[Tags], Tags]]
 """Which sets belong, and their tags without what is compared: sets with the same rest form a stratum."""

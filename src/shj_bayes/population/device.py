@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.files import damage_told, shipped
 from shj_bayes.errors import PopulationError, ShjError
 from shj_bayes.model.law import variant_named
 from shj_bayes.model.priors import Prior
-from shj_bayes.population.quantities import QUANTITIES, FloatArray, QuantityLikelihood, Rounded, of_draws, ratio_of
+from shj_bayes.population.quantities import QUANTITIES, QuantityLikelihood, Rounded, of_draws, ratio_of
 from shj_bayes.results.device import DeviceResult
 
 

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 from tqdm import tqdm
 
-from shj_bayes._util.arrays import freeze
+from shj_bayes._util.arrays import FloatArray, freeze
 from shj_bayes.errors import PopulationError, did_you_mean
 from shj_bayes.inference.likelihood import n_threads
 from shj_bayes.population.device import DeviceEstimate, RangeTested, Tags, sets_of
@@ -44,7 +44,6 @@ from shj_bayes.population.quantities import (
     ASSUMED,
     DESIGN,
     QUANTITIES,
-    FloatArray,
     PopulationPrior,
     QuantityLikelihood,
     other_priors,

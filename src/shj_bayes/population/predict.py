@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes._util.arrays import frozen
+from shj_bayes._util.arrays import FloatArray, frozen
 from shj_bayes.errors import PopulationError
 from shj_bayes.model.law import BETA_RANGE, force_of_laws, work_between
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
@@ -24,7 +24,6 @@ from shj_bayes.population.quantities import (
     LEVELS,
     QUANTITIES,
     Band,
-    FloatArray,
     Ordered,
     band_of,
     quantity,

@@ -8,13 +8,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from shj_bayes._util.arrays import freeze
+from shj_bayes._util.arrays import FloatArray, freeze
 from shj_bayes.errors import PopulationError
 from shj_bayes.model.parameters import base_of
 
-FloatArray = NDArray[np.float64]
 Band = tuple[float, float, float]
 LEVELS = (0.05, 0.5, 0.95)
 BATCHES = 10

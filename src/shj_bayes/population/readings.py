@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
+from shj_bayes._util.arrays import BoolArray, FloatArray, IntArray
 from shj_bayes.errors import PopulationError
-from shj_bayes.model.parameters import FloatArray, run_name
+from shj_bayes.model.parameters import run_name
 from shj_bayes.population.quantities import DESIGN, HIGHEST, LEAST, LOWEST, MOST
 from shj_bayes.recording.motion import Motion
 
@@ -36,7 +36,7 @@ class Readings:
     amplitude_mm: FloatArray  # shape (n_half,): half of the stroke
     direction: FloatArray  # shape (n_half,): +1 in push (displacement grows), -1 in pull
     travel_m: FloatArray  # shape (n_half,): cumulative sliding distance in the middle of the half-cycle
-    complete: NDArray[np.bool_]  # shape (n_half,): whether it runs from one reversal to the next
+    complete: BoolArray  # shape (n_half,): whether it runs from one reversal to the next
     peak_mm_s: FloatArray  # shape (n_half,): peak speed
     # shape (m, n_half): mean force over the middle half of the stroke, in the direction of motion
     plateau_kN: FloatArray
@@ -46,7 +46,7 @@ class Readings:
     end_kN: FloatArray  # shape (m, n_half): force at the end of the stroke
     work_kJ: FloatArray  # shape (m, n_half): work done on the device
 
-    def sliding(self, flat: float = FLAT) -> NDArray[np.bool_]:
+    def sliding(self, flat: float = FLAT) -> BoolArray:
         """Complete half-cycles in which the typical device slides before the middle part of the stroke, (n_half,)."""
         onset, plateau = np.median(self.onset_kN, axis=0), np.median(self.plateau_kN, axis=0)
         return np.asarray(self.complete & (plateau > 0) & (onset >= flat * plateau))
@@ -162,7 +162,7 @@ def of_readings(readings: Readings, least_amplitude_mm: float) -> dict[str, Floa
     }
 
 
-def half_cycles_from(readings: Readings, least_amplitude_mm: float) -> NDArray[np.int64]:
+def half_cycles_from(readings: Readings, least_amplitude_mm: float) -> IntArray:
     """Half-cycles that count, from an amplitude on."""
     large = readings.amplitude_mm >= least_amplitude_mm * (1.0 - ALIKE)
     return np.flatnonzero(readings.complete & large)

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from shj_bayes._util.arrays import BoolArray, FloatArray
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import limits
 from shj_bayes.recording.clock import clock_findings, orderly_rows, step_spread
 from shj_bayes.recording.columns import RawChannels
 from shj_bayes.recording.motion import Motion, blind_stretches, hysteresis, least_return, motion_of
 from shj_bayes.recording.readings import clipped, complete_rows, fill, held, not_readings, runs, stopped
-from shj_bayes.recording.recording import BoolArray, Finding, FloatArray, Recording, noise_of, unit_of
+from shj_bayes.recording.recording import Finding, Recording, noise_of, unit_of
 from shj_bayes.recording.units import TARGET, Role, factor
 
 

@@ -8,9 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from shj_bayes._util.arrays import BoolArray, FloatArray
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import limits
-from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
+from shj_bayes.recording.recording import Finding
 
 
 def orderly_rows(time_s: FloatArray, name: str) -> tuple[BoolArray, list[Finding]]:

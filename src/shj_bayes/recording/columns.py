@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import RecordingError, did_you_mean, shown
 from shj_bayes.recording import limits
-from shj_bayes.recording.recording import Column, Finding, FloatArray
+from shj_bayes.recording.recording import Column, Finding
 from shj_bayes.recording.tables import (
     Table,
     beside,

@@ -6,15 +6,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from shj_bayes._util.arrays import freeze, frozen
+from shj_bayes._util.arrays import BoolArray, FloatArray, IntArray, freeze, frozen
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording import limits
-from shj_bayes.recording.recording import BoolArray, FloatArray, Recording, noise_of, resolution_of
+from shj_bayes.recording.recording import Recording, noise_of, resolution_of
 from shj_bayes.recording.smoothing import Smooth, hermite, smooth
-
-IntArray = NDArray[np.int64]
 
 
 def alternating(n: int, first: int = 1) -> IntArray:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.files import file_digest, need_files
 from shj_bayes._util.imports import discovered
 from shj_bayes.errors import RecordingError, plain_text
@@ -18,7 +19,7 @@ from shj_bayes.recording.checks import inspect, plausibility_findings, repair, w
 from shj_bayes.recording.clock import follow_on, going_on, restarts
 from shj_bayes.recording.columns import RawChannels, choose
 from shj_bayes.recording.limits import MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROWS
-from shj_bayes.recording.recording import Column, Finding, FloatArray, Recording, Source
+from shj_bayes.recording.recording import Column, Finding, Recording, Source
 from shj_bayes.recording.rows import split_header
 from shj_bayes.recording.smoothing import at_samples
 from shj_bayes.recording.tables import Format, Table, as_floats

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from shj_bayes._util.arrays import BoolArray, FloatArray, IntArray
 from shj_bayes.recording import limits
 from shj_bayes.recording.clock import step_spread
-from shj_bayes.recording.motion import IntArray
-from shj_bayes.recording.recording import BoolArray, Finding, FloatArray, noise_of, resolution_of
+from shj_bayes.recording.recording import Finding, noise_of, resolution_of
 
 # Of seven rows, pairs to be put in order one after the other: the median ends in the middle (Devillard 1998).
 EXCHANGES = ((0, 5), (0, 3), (1, 6), (2, 4), (0, 1), (3, 5), (2, 6), (2, 3), (3, 6), (4, 5), (1, 4), (1, 3), (3, 4))

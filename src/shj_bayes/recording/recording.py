@@ -10,14 +10,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from shj_bayes._util.arrays import frozen
+from shj_bayes._util.arrays import BoolArray, FloatArray, frozen
 from shj_bayes.errors import RecordingError, plain_text
 from shj_bayes.recording.limits import GAP_STEPS
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Severity = Literal["note", "assumed", "repaired", "warning", "unusable"]
 
 
@@ -222,7 +219,7 @@ def unit_for(sliding_kN: float) -> tuple[str, float]:
     return ("N", 1000.0) if abs(sliding_kN) < SMALL_KN else ("kN", 1.0)
 
 
-def unit_of(force_kN: NDArray[np.float64]) -> tuple[str, float]:
+def unit_of(force_kN: FloatArray) -> tuple[str, float]:
     """Choose it from a recorded force, shape (n,): half its range without rare extremes is about the sliding force."""
     low, high = np.quantile(force_kN, (0.05, 0.95))
     return unit_for(0.5 * float(high - low))

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from shj_bayes._util.arrays import BoolArray, FloatArray
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.clock import Stamps, is_stamp
 from shj_bayes.recording.columns import roles_named
 from shj_bayes.recording.limits import BLOCK_ROWS, MAX_CELL, MAX_COLUMNS, MAX_NAME, MAX_ROWS, MAX_SPECIAL, MAX_WORDS
-from shj_bayes.recording.recording import BoolArray, Finding, FloatArray
+from shj_bayes.recording.recording import Finding
 from shj_bayes.recording.tables import as_floats, bounded_columns
 from shj_bayes.recording.units import factor, role_of
 

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import RecordingError, plain_text
 from shj_bayes.recording import limits
 from shj_bayes.recording.checks import inspect
@@ -18,7 +19,7 @@ from shj_bayes.recording.clock import clock_findings
 from shj_bayes.recording.motion import Motion, hysteresis, least_return, motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.readings import runs as stretches
-from shj_bayes.recording.recording import Finding, FloatArray, Recording, Severity, noise_of, unit_of
+from shj_bayes.recording.recording import Finding, Recording, Severity, noise_of, unit_of
 
 Runs = int | Literal["split", "one"] | None
 """What the user says of a file: how many runs it holds, that it may be split, that it is one; None for nothing said."""

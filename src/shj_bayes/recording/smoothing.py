@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shj_bayes._util.arrays import freeze, frozen
+from shj_bayes._util.arrays import BoolArray, FloatArray, freeze, frozen
 from shj_bayes.recording.limits import (
     BIAS_RANGE,
     BIAS_SHARE,
@@ -24,7 +24,7 @@ from shj_bayes.recording.limits import (
     LOCAL_SD,
     SHORTEST_SHARE,
 )
-from shj_bayes.recording.recording import BoolArray, Column, FloatArray
+from shj_bayes.recording.recording import Column
 
 
 @lru_cache(maxsize=256)

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray, IntArray
 from shj_bayes._util.processes import program
 from shj_bayes.errors import ReportError
-from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import IntArray, Motion
+from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Recording
 from shj_bayes.report import numbers as n
 from shj_bayes.report.numbers import DeviceFigures

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from jinja2 import UndefinedError
 
+from shj_bayes._util.arrays import BoolArray, FloatArray
 from shj_bayes.errors import ReportError
-from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.recording import BoolArray
 from shj_bayes.report import diagnosis_words as say
 from shj_bayes.report.browse import diagnosis_viewer, thinning_words
 from shj_bayes.report.diagnosis_words import unit_of

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import ModelError
 from shj_bayes.model.coordinates import coordinate_named, coordinates
 from shj_bayes.model.device import meaning_of
 from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.model.history import PREFIX
-from shj_bayes.model.parameters import FloatArray, base_of
+from shj_bayes.model.parameters import base_of
 from shj_bayes.recording.limits import CHANNEL_GAP
 from shj_bayes.report import words
 from shj_bayes.report.words import ForceUnit, unit_for

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from shj_bayes._util.arrays import BoolArray, FloatArray, IntArray
 from shj_bayes.model.law import BETA_RANGE, force_of_laws, work_between
-from shj_bayes.model.parameters import FloatArray, run_name
+from shj_bayes.model.parameters import run_name
 from shj_bayes.population.device import published_rows
 from shj_bayes.population.quantities import LEVELS, band_of
-from shj_bayes.recording.motion import Block, IntArray, exact_motion, one_peak_speed
-from shj_bayes.recording.recording import BoolArray
+from shj_bayes.recording.motion import Block, exact_motion, one_peak_speed
 from shj_bayes.results.device import DeviceData, RunData
 from shj_bayes.results.diagnosis import DiagnosisRecord, LeftOver
 from shj_bayes.results.store import diagnosis_in, find

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model.history import histories
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.planning.information import WHICH
 from shj_bayes.planning.plan import Plan, PlanRecord, WorthOfTest
 from shj_bayes.planning.rivals import ASSURANCE, WITHIN, PretestPosterior, RivalModel, mechanisms_of

@@ -9,14 +9,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from shj_bayes._util.arrays import BoolArray, FloatArray, IntArray
 from shj_bayes.errors import ReportError
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.model.history import History, Measured, histories
 from shj_bayes.model.noise import noise_model
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior, Priors
-from shj_bayes.recording.motion import IntArray, Motion, alternating
-from shj_bayes.recording.recording import BoolArray
+from shj_bayes.recording.motion import Motion, alternating
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
 from shj_bayes.results.store import netcdf_file, posterior_file, read

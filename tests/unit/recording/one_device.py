@@ -5,9 +5,9 @@ from functools import cache
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model.simulate import Truth, simulate_device
 from shj_bayes.recording.motion import table_1
-from shj_bayes.recording.recording import FloatArray
 
 TRUTH = Truth(K=18.0, Fy=80.0, beta=10.0, gamma=1 / 60, sigma=1.0, phi=0.8, displacement_noise_mm=0.01)
 RATE_HZ = 20.0

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from one_device import RATE_HZ, plain
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.recording.checks import inspect, repair
 from shj_bayes.recording.motion import hysteresis, motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.readings import held
-from shj_bayes.recording.recording import FloatArray, Recording
+from shj_bayes.recording.recording import Recording
 
 P = plain()
 N = P.time_s.size

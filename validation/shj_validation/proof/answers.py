@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model.coordinates import coordinates_of
 from shj_bayes.model.effects.effect import Base, catalogue, combine
 from shj_bayes.model.history import History, histories
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.reader import read
 from shj_bayes.recording.recording import Recording

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.sampler import LIBRARY, SamplingPlan
 from shj_bayes.mismatch.diagnosis import diagnose
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import DiagnoseOptions
 from shj_bayes.recording.reader import read

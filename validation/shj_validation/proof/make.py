@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.recording.recording import Recording, Source
 from shj_validation.proof.cases import Concealed, Key
 from shj_validation.proof.device import Device

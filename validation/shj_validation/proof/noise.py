@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.signal import lfilter
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import ModelError
-from shj_bayes.model.parameters import FloatArray
 
 NOISES = ("white", "ar1", "white and slow", "more at low speed", "slow drift", "rounded")
 HUM, WITH_FORCE = "with hum", "growing with the force"

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.report.figures.canvas import BLUE, GREY, INK, PALE, RED
 from shj_bayes.report.page import Picture
 from shj_validation.canvas import WIDE, label, legend, sheet, svg

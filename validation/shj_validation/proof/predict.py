@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model.device import effect_named, force_with_effects
 from shj_bayes.model.effects.effect import Base, Effect
 from shj_bayes.model.history import History, histories, on_scales_of
-from shj_bayes.model.parameters import FloatArray, run_name
+from shj_bayes.model.parameters import run_name
 from shj_bayes.recording.motion import Motion
 
 

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import ModelError
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import hysteresis, table_1
 
 # Fastest that each protocol moves, mm/s; bounds gamma and the earthquake that is held out. All but the first two begin

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from scipy import optimize, stats
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model.effects.effect import catalogue
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording
 from shj_bayes.results.diagnosis import DependenceId

@@ -3,14 +3,13 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from shj_bayes._util.arrays import BoolArray, FloatArray
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.model.law import BETA_RANGE, force_of_laws, masing_force
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.recording.recording import Recording
 from shj_validation.proof.cases import Key
 from shj_validation.proof.make import Made, make
@@ -81,7 +80,7 @@ class Perfect:
     base: dict[str, float]
     force_kN: FloatArray
     misfit_kN: FloatArray
-    used: NDArray[np.bool_]
+    used: BoolArray
     slopes: FloatArray
 
     def visible(self, part_kN: FloatArray) -> FloatArray:

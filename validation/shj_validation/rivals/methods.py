@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from shj_bayes.model.parameters import FloatArray
-from shj_bayes.recording.motion import IntArray
+from shj_bayes._util.arrays import FloatArray, IntArray
 from shj_validation.rivals.question import SENSE, WORDS
 
 GP_STEPS = 30

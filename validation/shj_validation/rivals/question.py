@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.arrays import BoolArray, FloatArray
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.data import MODEL_ERROR, BinnedData, ErrorModel, ErrorParameters, data_of
 from shj_bayes.mismatch.fitter import noise_of_size
@@ -21,11 +22,10 @@ from shj_bayes.model.coordinates import coordinates
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.history import History
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import read_priors
 from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.reader import read
-from shj_bayes.recording.recording import BoolArray, Recording
+from shj_bayes.recording.recording import Recording
 from shj_validation.proof.predict import carried_on, predict
 
 # All that the diagnosis has curves over, but for the same coordinate on another scale and products of two.

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording
 from shj_validation.proof.cases import Key

@@ -28,6 +28,7 @@ from itertools import product
 import numpy as np
 from scipy import optimize, special
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.codes.code import Code, Given
 from shj_bayes.margins.spread import (
@@ -43,7 +44,6 @@ from shj_bayes.margins.spread import (
     Spread,
     sd_of_log,
 )
-from shj_bayes.population.quantities import FloatArray
 
 CHARACTERISTIC = 0.05
 """Fractile of a characteristic value, Table D1."""

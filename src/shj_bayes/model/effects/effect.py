@@ -10,11 +10,11 @@ from dataclasses import dataclass, field, replace
 from functools import cache, reduce
 from typing import NamedTuple
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.imports import discovered
 from shj_bayes.errors import ModelError
 from shj_bayes.model import effects
 from shj_bayes.model.history import History
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
 FAMILIES = (

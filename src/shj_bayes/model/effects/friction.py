@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.effects.sliding import (
     MEMORIES,
@@ -16,7 +17,6 @@ from shj_bayes.model.effects.sliding import (
     sliding_mm_s,
 )
 from shj_bayes.model.history import History
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
 

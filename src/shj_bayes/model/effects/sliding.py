@@ -9,10 +9,10 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model.effects.effect import Base
 from shj_bayes.model.history import History
 from shj_bayes.model.law import held_at, knee_of, saturate, saturate_with_slope
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
 # Bolts with unlike clearances: a part of the stiffness comes back first. 0.3 to 0.5 fit brfd-lehigh alike.

@@ -3,11 +3,11 @@
 import numpy as np
 from numba import njit
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model.coordinates import STROKES
 from shj_bayes.model.effects.effect import Base, Contribution, Effect, Values
 from shj_bayes.model.effects.sliding import passes, remembered_through, slid_m, slid_since_mm
 from shj_bayes.model.history import History
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 
 

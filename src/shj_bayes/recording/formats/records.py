@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import RecordingError, shown
 from shj_bayes.recording.limits import MAX_BRACKETS, MAX_CELL, MAX_JSON_BYTES, MAX_TABLE_CELLS
-from shj_bayes.recording.recording import Column, Finding, FloatArray
+from shj_bayes.recording.recording import Column, Finding
 from shj_bayes.recording.rows import PLAIN, split_header
 from shj_bayes.recording.tables import Format, Table, as_floats, bounded_columns, left_out
 

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.limits import MAX_PARTS
-from shj_bayes.recording.recording import Column, Finding, FloatArray
+from shj_bayes.recording.recording import Column, Finding
 from shj_bayes.recording.rows import split_header
 from shj_bayes.recording.tables import Format, Table, as_floats, grouped, left_out, refuse_large, same_clock
 

@@ -17,11 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.clock import Stamps
 from shj_bayes.recording.columns import roles_named
 from shj_bayes.recording.limits import CHUNK_BYTES, MAX_BYTES, MAX_EMPTY, MAX_LINE, SAME_INSTANT
-from shj_bayes.recording.recording import Column, Finding, FloatArray
+from shj_bayes.recording.recording import Column, Finding
 from shj_bayes.recording.rows import LOOK, TextRows, find_dialect, head_of
 from shj_bayes.recording.tables import Format, Table, bounded_columns, seconds_of
 

@@ -12,7 +12,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import ArrayLike, NDArray
 
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes._util.arrays import BoolArray, FloatArray
 from shj_bayes.report.words import KN, ForceUnit
 
 # Okabe and Ito: told apart with every common form of colour blindness, and (by lightness) in grey print.
@@ -285,7 +285,7 @@ def _text(x: float, y: float, words: str, size: float, side: str = "middle", *, 
     return out
 
 
-def _points(x: FloatArray, y: FloatArray) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
+def _points(x: FloatArray, y: FloatArray) -> tuple[NDArray[np.complex128], BoolArray]:
     """Points as whole numbers, x + iy, without those that are none; and which of them come behind such."""
     there = np.isfinite(x + y)
     behind = there.copy()

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray, IntArray
 from shj_bayes.model.noise import noise_parameters
-from shj_bayes.model.parameters import FloatArray
 from shj_bayes.model.priors import Prior
 from shj_bayes.recording.columns import TENSION
-from shj_bayes.recording.motion import IntArray
 from shj_bayes.report.figures.canvas import (
     BLUE,
     GREEN,

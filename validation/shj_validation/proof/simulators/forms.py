@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes._util.arrays import FloatArray
 from shj_validation.proof.device import Device
 from shj_validation.proof.simulators.bolt import tension, thinning
 from shj_validation.proof.simulators.friction import REFERENCE_MM_S, follow

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes._util.arrays import FloatArray
 from shj_validation.proof.device import Device
 from shj_validation.proof.simulators.rig import Acts, Drive
 from shj_validation.proof.simulators.simulator import Shape, Simulator, along

@@ -9,7 +9,7 @@ measured in ``docs/decisions/0007-proof.md``.
 import numpy as np
 from numba import njit
 
-from shj_bayes.model.parameters import FloatArray
+from shj_bayes._util.arrays import FloatArray
 
 N_ELEMENTS = 48
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import ModelError
-from shj_bayes.model.parameters import FloatArray
 from shj_validation.proof.device import Device
 from shj_validation.proof.protocols import Course
 from shj_validation.proof.simulators.branch import STILL_MM, branches

@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.imports import discovered
 from shj_bayes.errors import ModelError
-from shj_bayes.model.parameters import FloatArray
 from shj_validation.proof import simulators
 from shj_validation.proof.device import Device
 from shj_validation.proof.simulators.rig import RULES, Acts, Drive
