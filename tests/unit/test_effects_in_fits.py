@@ -94,7 +94,7 @@ def test_the_diagnosis_shows_the_numbers_of_its_fit(found: shj_bayes.Diagnosis) 
     row = found.fit.summary.loc["slack.size"]
     assert shown["unit"] == row["unit"] == "mm"
     for key in ("mean", "q05", "q95"):
-        assert shown[key] == pytest.approx(row[key], abs=0.1 * row["sd"])
+        assert shown[key] == pytest.approx(row[key], abs=0.2 * row["sd"])  # of some of its draws
     assert found.record["sampling"]["verdict"] == found.fit.verdict
     assert found.fit.record["sampling"]["n_steps_kept"] <= CHOSEN["max_steps"]
 
