@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from shj_bayes.population.hierarchy import fit_quantity
-from shj_bayes.population.quantities import Likelihood, other_priors, population_prior, spaced
+from shj_bayes.population.quantities import QuantityLikelihood, other_priors, population_prior, spaced
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from one_set import AT, draws_of_one_set
@@ -22,7 +22,9 @@ LEVELS = (0.05, 0.5, 0.95)
 @pytest.mark.parametrize("label", list(PRIORS))
 def test_the_grid_finds_what_quadrature_finds(label):
     exact = np.quantile(draws_of_one_set(VALUES, ERRORS, PRIORS[label], read=False), LEVELS)
-    devices = [Likelihood(False, np.array([y]), np.array([e]), np.ones(1)) for y, e in zip(VALUES, ERRORS, strict=True)]
+    devices = [
+        QuantityLikelihood(False, np.array([y]), np.array([e]), np.ones(1)) for y, e in zip(VALUES, ERRORS, strict=True)
+    ]
     fit = fit_quantity("least", [devices], PRIORS[label], np.random.SeedSequence(1))
     noise = stats.norm.ppf(spaced(fit.mu.shape[0], np.random.default_rng(0)))
     drawn = np.quantile(fit.mu[:, 0] + fit.tau[:, 0] * noise, LEVELS)

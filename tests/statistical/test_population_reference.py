@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.population.hierarchy import fit_quantity
-from shj_bayes.population.quantities import Likelihood, Rounded, population_prior, quantity
+from shj_bayes.population.quantities import QuantityLikelihood, Rounded, population_prior, quantity
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 FY = quantity("Fy")
@@ -22,7 +22,7 @@ def known_devices():
     """Five sets of three devices, each known to 5 %, spreads between 0.1 and 0.4."""
     rng = np.random.default_rng(71)
     centres = rng.normal(np.log(80), 0.3, 5)[:, None] + np.geomspace(0.1, 0.4, 5)[:, None] * rng.standard_normal((5, 3))
-    return [[Likelihood(False, np.array([c]), np.array([0.05]), np.ones(1)) for c in row] for row in centres]
+    return [[QuantityLikelihood(False, np.array([c]), np.array([0.05]), np.ones(1)) for c in row] for row in centres]
 
 
 def unequal_numbers():
@@ -33,7 +33,7 @@ def unequal_numbers():
         values = rng.normal(np.log(70), 0.2) + 0.15 * rng.standard_normal(n)
         out.append(
             [
-                Likelihood(False, np.array([v]), np.array([s]), np.ones(1))
+                QuantityLikelihood(False, np.array([v]), np.array([s]), np.ones(1))
                 for v, s in zip(values, rng.uniform(0.02, 0.3, n), strict=True)
             ]
         )
