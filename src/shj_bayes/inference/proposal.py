@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
@@ -123,13 +124,13 @@ def _first(density: Density, start: Start) -> Proposal:
                     continue
                 step = 0.3 * (b - a)
                 mass = np.exp(min(heights[n] - start.log_posterior, 0.0)) * abs(step[i]) / np.linalg.norm(row)
-                weights.append(max(float(mass), 0.02))
+                weights.append(max(float(mass), 0.02))  # so that the rounds meet it
                 means.append(points[n])
                 roots.append(root_of(across + np.outer(step, step)))
     return _mixture(weights, means, roots)
 
 
-def _mixture(weights: list[float], means: list[FloatArray], roots: list[FloatArray]) -> Proposal:
+def _mixture(weights: ArrayLike, means: ArrayLike, roots: ArrayLike) -> Proposal:
     """Components in proportion to their weights, not yet held against the posterior."""
     return Proposal(np.array(weights) / np.sum(weights), np.array(means), np.array(roots), 0.0)
 
@@ -156,9 +157,9 @@ def _ridge(density: Density, start: Start, i: int, side: float) -> tuple[list[Fl
         return -float(height[0]), (height[0] - height[1:]) / NUDGE
 
     points, heights = [start.free], [start.log_posterior]
-    for n in RIDGE:
-        foot = points[-1] + (slope * side * n * np.sqrt(covariance[i, i]) if len(points) == 1 else 0.0)
-        foot[i] = start.free[i] + side * n * np.sqrt(covariance[i, i])
+    for away in side * np.sqrt(covariance[i, i]) * RIDGE:
+        foot = points[-1] + (slope * away if len(points) == 1 else 0.0)
+        foot[i] = start.free[i] + away
         found = minimize(downhill, np.zeros(len(root)), (foot,), "BFGS", jac=True, options={"maxiter": 8, "gtol": 0.1})
         if not -found.fun > start.log_posterior - FALL:
             break
@@ -208,5 +209,4 @@ def _moved(proposal: Proposal, z: FloatArray, weight: FloatArray) -> Proposal:
         before = roots[k] @ roots[k].T
         means[k] += (1 - memory) * (mean - means[k])
         roots[k] = np.linalg.cholesky((1 - memory) * scatter + memory * before)
-    shares = np.maximum(shares, LEAST / shares.size)
-    return Proposal(shares / shares.sum(), means, roots, 0.0)
+    return _mixture(np.maximum(shares, LEAST / shares.size), means, roots)
