@@ -162,7 +162,7 @@ def with_widening(verdict: FitVerdict, widening: Widening, tail: float = 0.0) ->
 
 
 FINER = 32.0  # times shorter than the averages that are sampled: averages that stand for all samples
-N_HELD = 100  # draws at which both densities are evaluated, and at least four for each number that is fitted to them
+N_HELD = 200  # draws at which both densities are evaluated, and at least four for each number that is fitted to them
 PARETO_LIMIT = 0.7
 
 
@@ -172,9 +172,10 @@ def weights_of_all_samples(
     """Weights that take draws from averages of the samples to all samples, and Pareto k of the weights.
 
     Averages leave out what the samples within each say of the law: means move by up to 0.3 standard deviations at 20
-    Hz, by more at higher rates. The log ratio of both likelihoods is nearly a parabola: it is evaluated at some draws
-    and smoothed by least squares for all. The noise keeps its most probable size, which is that of the averages
-    (decision 0010); where samples scatter more within them, by hum say, what they tell counts as much less.
+    Hz, by more at higher rates. The log ratio of both likelihoods is smooth: it is evaluated at some draws, and a
+    polynomial that is fitted to these by least squares (all of second degree, and cubes: a sharp knee has a long tail)
+    gives it for all. The noise keeps its most probable size, which is that of the averages (decision 0010); where
+    samples scatter more within them, by hum say, what they tell counts as much less.
 
     `draws` are unbounded, shape (n_ensembles, n, d); the weights are of shape (n_ensembles, n) with mean 1.
     """
@@ -182,7 +183,9 @@ def weights_of_all_samples(
     fine = posterior.refined(start.free, coarser=1.0 / FINER)
     law = flat[:, : posterior.model.n_law]
     along = np.linalg.solve(root_of(np.cov(law.T)), (law - law.mean(axis=0)).T).T
-    terms = np.concatenate([np.ones((law.shape[0], 1)), along, along**2], axis=1)
+    i, j = np.triu_indices(law.shape[1])
+    ones = np.ones((law.shape[0], 1))
+    terms = np.concatenate([ones, along, along[:, i] * along[:, j], along**3], axis=1)
     held = np.linspace(0, flat.shape[0] - 1, max(N_HELD, 4 * terms.shape[1])).astype(int)
     points = np.tile(start.free, (held.size, 1))
     points[:, : law.shape[1]] = law[held]

@@ -188,6 +188,20 @@ def test_means_are_those_of_all_samples(make_small: Callable[..., Likelihood], m
     assert after.max() < 0.08
 
 
+def test_weights_follow_a_long_tail(make_small: Callable[..., Likelihood], truth: Truth) -> None:
+    """Of a knee that the rate hardly resolves, where the log ratio of the likelihoods is no parabola."""
+    posterior, start = find_start(make_small(replace(truth, beta=60.0), rate_Hz=20.0, n_runs=1))
+    states, figures = run_ensembles(posterior, posterior.model.names, start, SamplingPlan(seed=3))
+    draws = np.stack([state.chain[figures.n_burn :].reshape(-1, start.free.size) for state in states])
+    some = draws.reshape(-1, start.free.size)[::10]
+    smooth = np.log(weights_of_all_samples(posterior, start, draws)[0].ravel()[::10])
+    some[:, posterior.model.n_law :] = start.free[posterior.model.n_law :]
+    fine = posterior.refined(start.free, longest_s=0.0)
+    exact = fine.log_posterior_free(some) - posterior.log_posterior_free(some)
+    assert np.std(exact) > 0.15
+    assert np.std(exact - smooth) < 0.012
+
+
 def test_samples_that_contradict_their_averages_weigh_nothing(make_small: Callable[..., Likelihood]) -> None:
     """Hum that the averages do not see tells nothing of the law; one draw that carries all weight is told."""
     small = make_small(rate_Hz=50.0, n_runs=1)
