@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from shj_bayes._util.arrays import FloatArray
+from shj_bayes._util.arrays import FloatArray, one_blas_thread
 from shj_bayes.margins.specimen import Specimen
 from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named
@@ -78,6 +78,7 @@ class CurveContrast:
         ]
 
 
+@one_blas_thread
 def compare_curves(
     result: PopulationResult, specimens: Sequence[Specimen], set_a: str, set_b: str, *, rope: float
 ) -> tuple[CurveContrast, ...]:

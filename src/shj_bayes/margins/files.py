@@ -279,10 +279,20 @@ def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
     paths = tuple(folder / f"{STEM}{ending}" for ending in endings)
     write_text(paths[0], table.to_csv())
     _write_excel(sheet, table, paths[1])
-    write_text(paths[2], json.dumps(to_json(sheet), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    write_text(paths[2], _line_by_line(to_json(sheet)))
     write_text(paths[3], device_table(sheet).to_csv())
     write_text(paths[4], amplitude_table(sheet).to_csv())
     return paths
+
+
+def _line_by_line(content: Mapping[str, Any]) -> str:
+    """Content as JSON, a line for each item of a list: written at a stroke, which indented text is not."""
+    written = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
+    parts = []
+    for key, part in content.items():
+        text = "[\n " + ",\n ".join(map(written, part)) + "\n]" if isinstance(part, list) else written(part)
+        parts.append(f"{written(key)}: {text}")
+    return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
 def amplitude_table(sheet: Sheet) -> Cells:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from shj_bayes._util.arrays import BoolArray, FloatArray
+from shj_bayes._util.arrays import BoolArray, FloatArray, one_blas_thread
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.history import LoadCase, LoadingHistory, MeasuredChannel, allowed, load_cases, measured_channels
 from shj_bayes.margins.specimen import Belief, Specimen, drive
@@ -89,6 +89,7 @@ class VirtualTestResult:
         return DeviceEstimate(self.name, self.set_name, known, tags)
 
 
+@one_blas_thread
 def virtual_tests(
     specimens: Sequence[Specimen], asked: LoadingHistory | None, *, extrapolate: bool = False
 ) -> tuple[VirtualTestResult, ...]:

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 from tqdm import tqdm
 
-from shj_bayes._util.arrays import FloatArray, freeze
+from shj_bayes._util.arrays import FloatArray, freeze, one_blas_thread
 from shj_bayes.errors import PopulationError, did_you_mean
 from shj_bayes.inference.likelihood import n_threads
 from shj_bayes.population.device import DeviceEstimate, RangeTested, Tags, sets_of
@@ -416,6 +416,7 @@ def fit_quantity(
     return QuantityPosterior(name, mu, tau, hyper, tuple(len(group) for group in sets))
 
 
+@one_blas_thread
 def fit_population(
     devices: Sequence[DeviceEstimate],
     *,
