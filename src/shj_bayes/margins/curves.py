@@ -16,6 +16,7 @@ from shj_bayes._util.arrays import FloatArray, one_blas_thread
 from shj_bayes.margins.specimen import Specimen
 from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect, combine
 from shj_bayes.population.compare import ROPE_SPEED, Stratum, members, shift_of, strata_of
 from shj_bayes.population.hierarchy import (
@@ -88,7 +89,7 @@ def compare_curves(
     share of the force. Speed comes first, which the published law holds.
     """
     sides = members(result, strata_of(result, set_a, set_b)[2])
-    held = [set().union(*(_held(s) for s in specimens if s.set_name in names)) for names in sides]
+    held = [{name for s in specimens if s.set_name in names for name in _held(s.beliefs[0].model)} for names in sides]
     groups = tuple(group for group in result.sets if group.name in {*sides[0], *sides[1]})
     both = [s for s in specimens if s.set_name in {group.name for group in groups}]
     found = (
@@ -106,8 +107,8 @@ def _over(effect: Effect) -> str:
     return name if action == "capacity" and name in COMPARED else ""
 
 
-def _held(specimen: Specimen) -> set[str]:
-    model = specimen.beliefs[0].model
+def _held(model: DeviceModel) -> set[str]:
+    """Coordinates that the sliding force of a model depends on."""
     return {*filter(None, map(_over, model.effects)), *([SPEED] if model.speed else [])}
 
 
@@ -140,24 +141,17 @@ def log_factors(specimen: Specimen, coordinate: Coordinate, at: FloatArray) -> F
     return out
 
 
-def _stated(specimens: Sequence[Specimen], coordinate: Coordinate) -> tuple[float, FloatArray] | None:
-    """Value that factors are relative to, and the others, over the range that all devices share; None for none."""
+def _contrast(
+    result: PopulationResult, specimens: Sequence[Specimen], coordinate: Coordinate, sides: tuple[str, str], rope: float
+) -> CurveContrast | None:
+    """Compare two sides over a coordinate; None where their devices share no range of it."""
     ends = [np.quantile(_along(specimen, coordinate), ENDS) for specimen in specimens]
     low, high = np.max(ends, axis=0)[0], np.min(ends, axis=0)[1]
     if not low < high:
         return None
-    at = np.linspace(low, high, PLACES)
-    place = round(coordinate.zero_share * (PLACES - 1))
-    return float(at[place]), np.delete(at, place)
-
-
-def _contrast(
-    result: PopulationResult, specimens: Sequence[Specimen], coordinate: Coordinate, sides: tuple[str, str], rope: float
-) -> CurveContrast | None:
-    stated = _stated(specimens, coordinate)
-    if stated is None:
-        return None
-    reference, at = stated
+    places = np.linspace(low, high, PLACES)
+    zero = round(coordinate.zero_share * (PLACES - 1))  # what the factors are relative to
+    reference, at = float(places[zero]), np.delete(places, zero)
     logs = {(s.set_name, s.name): log_factors(s, coordinate, np.append(reference, at)) for s in specimens}
     pooled = pool({key: own[:, 1:] - own[:, :1] for key, own in logs.items()}, result, coordinate.id)
     a, b, strata = strata_of(pooled, *sides)
