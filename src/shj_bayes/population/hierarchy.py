@@ -135,8 +135,18 @@ class Integral(NamedTuple):
 def integrate(sets: Sequence[Sequence[QuantityLikelihood]], prior: PopulationPrior) -> Integral:
     """Integrate over the levels and spreads of all sets and what they have in common; one set must hold a device."""
     found = _evaluated(*_widest(sets, prior), sets, prior)
-    for size in (COARSE, FINE):
-        found = _evaluated(*_narrowed(found, *size), sets, prior)
+    for n_level, n_spread, n_hyper in (COARSE, FINE):  # where the probability was found
+        joint = found.weights.reshape([axis.n for axis in found.hyper])
+        hyper = tuple(
+            axis.narrowed(joint.sum(axis=tuple({0, 1, 2, 3} - {i})), n)
+            for i, (axis, n) in enumerate(zip(found.hyper, n_hyper, strict=True))
+        )
+        axes = []
+        for one in found.sets:
+            cells = cells_of(found, one)
+            level, spread = cells.sum(axis=1), cells.sum(axis=0)
+            axes.append((one.level.narrowed(level, n_level), one.spread.narrowed(spread, n_spread)))
+        found = _evaluated(hyper, axes, sets, prior)
     return found
 
 
@@ -157,13 +167,10 @@ def _widest(
     middle = float(centres.mean())
     between = math.hypot(float(centres.std()), float(close.min())) if len(places) > 1 else prior.between_scale
     untested = (middle, 0.2 * prior.between_scale, prior.spread_median)
-    axes = [
-        (
-            Axis.between(centre - reach, centre + reach, n_level, centre, scale),
-            Axis.between(low, high, n_spread, math.log(apart), 1.0),
-        )
-        for centre, scale, apart in (_apex(*of_set) if of_set.size else untested for of_set in known)
-    ]
+    axes = []
+    for centre, scale, apart in (_apex(*of_set) if of_set.size else untested for of_set in known):
+        level = Axis.between(centre - reach, centre + reach, n_level, centre, scale)
+        axes.append((level, Axis.between(low, high, n_spread, math.log(apart), 1.0)))
     hyper = (
         Axis.between(middle - reach, middle + reach, n_hyper[0], middle, between / math.sqrt(centres.size)),
         Axis.between(0.0, 60.0 * prior.between_scale + widest, n_hyper[1], 0.0, between),
@@ -247,22 +254,6 @@ def _masses(device: QuantityLikelihood, level: FloatArray, spread: FloatArray) -
         for centre, sd, weight in zip(device.first, device.second, device.weight, strict=True):
             precision = 1.0 / (spread**2 + sd**2)
             yield np.exp((-0.5 * (centre - level) ** 2)[:, None] * precision) * (weight * np.sqrt(precision))
-
-
-def _narrowed(
-    found: Integral, n_level: int, n_spread: int, n_hyper: Sequence[int]
-) -> tuple[tuple[Axis, ...], list[tuple[Axis, Axis]]]:
-    """Lay all axes where the probability was found."""
-    joint = found.weights.reshape([axis.n for axis in found.hyper])
-    hyper = tuple(
-        axis.narrowed(joint.sum(axis=tuple({0, 1, 2, 3} - {i})), n)
-        for i, (axis, n) in enumerate(zip(found.hyper, n_hyper, strict=True))
-    )
-    axes = []
-    for one in found.sets:
-        cells = cells_of(found, one)
-        axes.append((one.level.narrowed(cells.sum(axis=1), n_level), one.spread.narrowed(cells.sum(axis=0), n_spread)))
-    return hyper, axes
 
 
 def cells_of(found: Integral, one: SetGrid) -> FloatArray:

@@ -1,11 +1,15 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.population.device import DeviceEstimate, Tags, sets_of
+from shj_bayes.model.priors import read_priors
+from shj_bayes.population.device import DeviceEstimate, Tags, device_from_fit, sets_of
 from shj_bayes.population.hierarchy import log_likelihood
 from shj_bayes.population.quantities import Ordered, QuantityLikelihood, Rounded, of_draws, ratio_of
+from shj_bayes.results.device import DeviceResult
 
 
 def test_dep_of_30_stands_for_15_to_45():
@@ -88,7 +92,6 @@ def test_a_posterior_that_is_only_prior_is_refused(rng):
         (lambda: DeviceEstimate("a", "s", {}), "gives none of"),
         (lambda: DeviceEstimate(" ", "s", {"Fy": Rounded(80, 75, 85).of("Fy")}), "needs a name"),
         (lambda: DeviceEstimate("a", "s", {"dep": Rounded(30, 15, 45).of("dep")}), "dep is never pooled"),
-        (lambda: DeviceEstimate.from_posterior("a", "s", {"Fy": np.ones(99)}, {}), "prior density of Fy is missing"),
         (lambda: sets_of([]), "no device given"),
     ],
 )
@@ -106,9 +109,11 @@ def test_sets_refuse_double_names_and_mixed_tags():
         sets_of([one, other])
 
 
-def test_a_posterior_that_is_refused_names_its_device() -> None:
+def test_a_posterior_that_is_refused_names_its_device(monkeypatch, tmp_path) -> None:
+    found = SimpleNamespace(draws={"Fy": np.ones(100)}, laws={"Fy": read_priors().of("Fy")})
+    monkeypatch.setattr(DeviceResult, "read", lambda _: found)
     with pytest.raises(PopulationError, match=r"device 'a': all posterior draws of Fy are equal"):
-        DeviceEstimate.from_posterior("a", "s", {"Fy": np.ones(100)}, {"Fy": np.zeros(100)})
+        device_from_fit(tmp_path, "a", "s")
 
 
 @pytest.mark.parametrize("n", [1, 9, 64, 4001])
