@@ -19,24 +19,9 @@ from shj_bayes.model.curve import curve_named
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect, combine
 from shj_bayes.population.compare import ROPE_SPEED, Stratum, members, shift_of, strata_of
-from shj_bayes.population.hierarchy import (
-    FEWER_DRAWS,
-    MAIN_PRIOR,
-    DeviceSet,
-    PopulationResult,
-    QuantityPosterior,
-    fit_quantity,
-)
+from shj_bayes.population.hierarchy import MAIN_PRIOR, DeviceSet, PopulationResult, fit_quantities
 from shj_bayes.population.predict import correlation_draws
-from shj_bayes.population.quantities import (
-    LEVELS,
-    Band,
-    PopulationPrior,
-    QuantityLikelihood,
-    other_priors,
-    population_prior,
-    stream,
-)
+from shj_bayes.population.quantities import LEVELS, Band, QuantityLikelihood, population_prior, stream
 
 SPEED = "speed"
 COMPARED = tuple(name for name, one in coordinates().items() if name == "travel" or not one.of_base)
@@ -186,19 +171,14 @@ def pool(logs: Mapping[tuple[str, str], FloatArray], result: PopulationResult, w
         ]
         for k, name in enumerate(names)
     }
-
-    def fits(label: str, own: PopulationPrior) -> dict[str, QuantityPosterior]:
-        seeds = {name: stream(result.seed, "curve", word, name, label) for name in names}
-        return {name: fit_quantity(name, data[name], own, seeds[name], FEWER_DRAWS) for name in names}
-
-    def kept(group: DeviceSet) -> DeviceSet:
-        own = groups[group.name]
+    priors = dict.fromkeys(names, prior)
+    others = fit_quantities(data, priors, result.seed, "curve", word)
+    sets = []
+    for group in result.sets:
+        own = tuple(groups[group.name])
         points = {name: tuple(float(middle[group.name, n][k]) for n in own) for k, name in enumerate(names)}
-        return DeviceSet(group.name, tuple(own), group.tags, points)
-
-    others = {label: fits(label, own) for label, own in other_priors(prior).items()}
-    sets = tuple(map(kept, result.sets))
-    return PopulationResult(sets, fits(MAIN_PRIOR, prior), others, dict.fromkeys(names, prior), {}, result.seed)
+        sets.append(DeviceSet(group.name, own, group.tags, points))
+    return PopulationResult(tuple(sets), others.pop(MAIN_PRIOR), others, priors, {}, result.seed)
 
 
 def shifts(pooled: PopulationResult, strata: Sequence[Stratum], prior: str) -> FloatArray:

@@ -28,6 +28,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -407,6 +408,36 @@ def fit_quantity(
     return QuantityPosterior(name, mu, tau, hyper, tuple(len(group) for group in sets))
 
 
+def fit_quantities(
+    sets: Mapping[str, Sequence[Sequence[QuantityLikelihood]]],
+    priors: Mapping[str, PopulationPrior],
+    seed: int,
+    *labels: str,
+    n_draws: int = FEWER_DRAWS,
+    progress: bool = False,
+    known: Mapping[str, Mapping[str, QuantityPosterior]] = MappingProxyType({}),
+) -> dict[str, dict[str, QuantityPosterior]]:
+    """Posteriors of many quantities under the default prior of each and two others of the spread, by prior, quantity.
+
+    `labels` are those of their streams of chance, `n_draws` the draws under the default prior; what is `known` is not
+    made again.
+    """
+    given = {q: {MAIN_PRIOR: prior, **other_priors(prior)} for q, prior in priors.items()}
+
+    def one(task: tuple[str, str]) -> QuantityPosterior:
+        label, q = task
+        n = n_draws if label == MAIN_PRIOR else FEWER_DRAWS
+        return fit_quantity(q, sets[q], given[q][label], stream(seed, *labels, q, label), n)
+
+    fits = {label: dict(of_prior) for label, of_prior in known.items()}
+    tasks = [(label, q) for label in (MAIN_PRIOR, *ASSUMED) for q in sets if q not in fits.get(label, {})]
+    with ThreadPoolExecutor(n_threads(0)) as threads:
+        done = tqdm(threads.map(one, tasks), "population", len(tasks), disable=None if progress else True, leave=False)
+        for (label, q), fitted in zip(tasks, done, strict=True):
+            fits.setdefault(label, {})[q] = fitted
+    return fits
+
+
 @one_blas_thread
 def fit_population(
     devices: Sequence[DeviceEstimate],
@@ -428,19 +459,8 @@ def fit_population(
     names = [q for q in (*QUANTITIES, *DESIGN) if any(q in device.measurements for device in devices)]
     sets = {q: [[d.measurements[q] for d in group if q in d.measurements] for group in grouped.values()] for q in names}
     chosen = {q: population_prior(q) for q in names}
-    priors = {q: {MAIN_PRIOR: prior, **other_priors(prior)} for q, prior in chosen.items()}
-
-    def one(task: tuple[str, str]) -> QuantityPosterior:
-        label, q = task
-        few = brief or label != MAIN_PRIOR
-        return fit_quantity(q, sets[q], priors[q][label], stream(seed, q, label), FEWER_DRAWS if few else N_DRAWS)
-
-    fits = {label: dict(of_prior) for label, of_prior in (known or {}).items()}
-    tasks = [(label, q) for label in (MAIN_PRIOR, *ASSUMED) for q in names if q not in fits.get(label, {})]
-    with ThreadPoolExecutor(n_threads(0)) as threads:
-        done = tqdm(threads.map(one, tasks), "population", len(tasks), disable=None if progress else True, leave=False)
-        for (label, q), fitted in zip(tasks, done, strict=True):
-            fits.setdefault(label, {})[q] = fitted
+    n_draws = FEWER_DRAWS if brief else N_DRAWS
+    fits = fit_quantities(sets, chosen, seed, n_draws=n_draws, progress=progress, known=known or {})
     return PopulationResult(
         sets=tuple(
             DeviceSet(
