@@ -14,7 +14,16 @@ import numpy as np
 from shj_bayes._util.files import damage_told, shipped
 from shj_bayes.errors import PopulationError, ShjError
 from shj_bayes.model.law import variant_named
-from shj_bayes.population.quantities import QUANTITIES, QuantityLikelihood, Rounded, of_draws, ratio_of
+from shj_bayes.population.quantities import (
+    QUANTITIES,
+    QuantityLikelihood,
+    gamma_of_dep,
+    of_draws,
+    ratio_of,
+    rounded,
+    to_decade,
+    to_step,
+)
 from shj_bayes.results.device import DeviceResult
 
 
@@ -230,14 +239,14 @@ class PublishedRow:
     def device(self) -> DeviceEstimate:
         """Turn the row into a device whose values are known up to their rounding."""
         value, step = self.values, self.steps
-        printed = {
-            "K": Rounded.to_step(value["K", 1], step["K"]),
-            "Fy": Rounded.to_step(value["Fy", 1], step["Fy"]),
-            "gamma": Rounded.gamma_of_dep(value["dep", 1], step["dep"]),
-            "beta": Rounded.to_decade(value["beta", 1], step["beta"]),
+        first, second = (to_step(value["Fy", run], step["Fy"]) for run in (1, 2))
+        known = {
+            "K": rounded("K", to_step(value["K", 1], step["K"])),
+            "Fy": rounded("Fy", first),
+            "gamma": rounded("gamma", gamma_of_dep(value["dep", 1], step["dep"])),
+            "beta": rounded("beta", to_decade(value["beta", 1], step["beta"])),
+            "ratio": ratio_of(second, first),
         }
-        second = Rounded.to_step(value["Fy", 2], step["Fy"])
-        known = {q: one.of(q) for q, one in printed.items()} | {"ratio": ratio_of(second, printed["Fy"])}
         return DeviceEstimate(f"T{self.table} {self.row}", self.set_name, known, self.tags)
 
 
