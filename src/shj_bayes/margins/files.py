@@ -202,12 +202,15 @@ def to_json(sheet: Sheet) -> dict[str, Any]:
         cards=tuple(line for name in sheet.spoken for line in _entries(sheet, name)),
         warnings=sheet.warnings,
         diagnoses=sheet.diagnoses,
-        margins=sheet.rows,
+        margins=(),
         over_amplitude=sheet.over_amplitude,
     )
     written: dict[str, Any] = codec.to_json(record)
-    rows, known = written["margins"], {"degrees_of_freedom": "known"}
-    written["margins"] = [codec.finite(row) | (known if math.isinf(row["degrees_of_freedom"]) else {}) for row in rows]
+    known = {"degrees_of_freedom": "known"}
+    heads = [key for key, *_ in codec.fields_of(Margin)]
+    for row in sheet.rows:  # thousands, which the general way takes long over
+        entry = codec.finite(dict(zip(heads, vars(row).values(), strict=True)))
+        written["margins"].append(entry | (known if math.isinf(row.degrees) else {}))
     return written
 
 

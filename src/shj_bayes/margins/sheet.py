@@ -1,7 +1,7 @@
 """All margins of a population in one sheet: two numbers first, then bands, codes, and where the width comes from."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -41,6 +41,7 @@ from shj_bayes.margins.spread import (
     Key,
     Margin,
     Origin,
+    Sample,
     between_sets,
     common_spread,
     of_set,
@@ -63,6 +64,8 @@ OWN_TEST = "the test that each device went through"
 DRIFT, CAPACITY = "for drift and displacement", "for capacity design"
 NOMINAL = "nominal sliding force"
 EXTRAPOLATED = "extrapolated, not tested"
+Samples = Mapping[str, Mapping[str, Sample]]
+"""Devices by quantity and set."""
 
 
 LAWS_PART = 1.1
@@ -196,12 +199,16 @@ def margins(
     fastest = tested if asked is None else max(tested, float(asked.motion.speed_mm_s.max()))
     history = OWN_TEST if asked is None else asked.words
     said = connections or {}
-    rows = tuple(_as_tested(row, history, withheld, laws) for row in _rows(design, own, request, said))
+    by_set = {group.name: samples(group) for group in design.sets}
+    together = {q: {name: own[q] for name, own in by_set.items() if q in own} for q in design.posteriors}
+    wider = {q: spreading_more(of_sets) for q, of_sets in together.items()}
+    drawn_up = _rows(design, own, request, said, together, wider)
+    rows = tuple(_as_tested(row, history, withheld, laws) for row in drawn_up)
     compared, contradictions = agreement([row for row in rows if row.set_name in spoken], request.probability)
     warnings = (
         *(() if asked is None else asked.found),
         *contradictions,
-        *_warnings(design, request, spoken, asked, laws),
+        *_warnings(design, request, spoken, asked, laws, together, wider),
         *channel_words([test.channels for test in own], own_test=asked is None),
         compared,
     )
@@ -227,11 +234,10 @@ def _rows(
     tests: Sequence[VirtualTestResult],
     request: MarginOptions,
     connections: Mapping[str, Connection],
+    together: Samples,
+    wider: Mapping[str, Collection[str]],
 ) -> Iterator[Margin]:
-    by_set = {group.name: samples(group) for group in result.sets}
-    together = {q: {name: own[q] for name, own in by_set.items() if q in own} for q in result.posteriors}
     common = {q: common_spread(list(of_sets.values())) for q, of_sets in together.items()}
-    wider = {q: spreading_more(of_sets) for q, of_sets in together.items()}
     for name in request.sets or (*result.set_names, ANY_SET):
         devices = predictive_devices(result, name)
         third = float(np.median([t.third_mm_s for t in tests if name in (ANY_SET, t.set_name)] or [math.nan]))
@@ -240,8 +246,9 @@ def _rows(
             each = {q: between_sets(list(of_sets.values())) for q, of_sets in together.items() if of_sets}
             n = {q: sum(sample.n for sample in together[q].values()) for q in each}
         else:
-            each = {q: (s, of_set(s, common[q], MORE if name in wider[q] else "")) for q, s in by_set[name].items()}
-            n = {q: sample.n for q, sample in by_set[name].items()}
+            own = {q: of_sets[name] for q, of_sets in together.items() if name in of_sets}
+            each = {q: (s, of_set(s, common[q], MORE if name in wider[q] else "")) for q, s in own.items()}
+            n = {q: sample.n for q, sample in own.items()}
         own, spreads = {q: sample for q, (sample, _) in each.items()}, {q: ways for q, (_, ways) in each.items()}
         given = Given(name, own, spreads, n, basis, request)
         yield from _first(given)
@@ -352,6 +359,8 @@ def _warnings(
     spoken: Sequence[str],
     asked: LoadingHistory | None,
     laws: Sequence[str],
+    together: Samples,
+    wider: Mapping[str, Mapping[str, tuple[float, float]]],
 ) -> Iterator[str]:
     """Say what limits the use of the margins: what was taken as known, what was not tested, where tests are too few."""
     tested = result.tested
@@ -378,44 +387,30 @@ def _warnings(
             "Drawn up for what --set names alone. How much devices of a set differ is learnt from all sets that were "
             f"tested ({len(result.sets)}); without --set the sheet holds them all."
         )
-    yield from _unequal_spreads(result, spoken)
-    yield from _few_devices(result, spoken)
-    if f"{MOST}_2" not in result.posteriors:
-        yield "No device has a second run, so nothing is said of a second earthquake."
-
-
-def _unequal_spreads(result: PopulationResult, spoken: Sequence[str]) -> Iterator[str]:
-    """Say which sets spread more than the others, so that the spread common to all sets is not theirs."""
-    by_set = {group.name: samples(group) for group in result.sets}
-    found: dict[str, list[tuple[float, float, str]]] = {}
-    for q in result.posteriors:
-        for name, (times, p) in spreading_more({n: s[q] for n, s in by_set.items() if q in s}).items():
-            found.setdefault(name, []).append((p, times, q))
     told = []
-    for name in (n for n in spoken if n in found):
-        _, times, q = min(found[name])
-        values, unit = by_set[name][q].values, described(q).unit
-        seen = f"{q} {values.min():.3g} to {values.max():.3g}{'' if unit == '1' else f' {unit}'}"
-        told.append(f"{name} {times:.1f} times as much ({seen}; so in {len(found[name])} quantities)")
+    for name in spoken:
+        found = [(p, times, q) for q, sets in wider.items() for times, p in [sets.get(name, (0.0, math.nan))] if times]
+        if found:
+            _, times, q = min(found)
+            values, unit = together[q][name].values, described(q).unit
+            seen = f"{q} {values.min():.3g} to {values.max():.3g}{'' if unit == '1' else f' {unit}'}"
+            told.append(f"{name} {times:.1f} times as much ({seen}; so in {len(found)} quantities)")
     if told:
         yield (
             f"The sets do not spread alike (F test of each against all others): {', '.join(told)}. EN 1990 and ISO "
             "16269-6 values with the spread common to all sets are too narrow for these and too wide for the others; "
             "take the bands of a new device, which allow for it."
         )
-
-
-def _few_devices(result: PopulationResult, spoken: Sequence[str]) -> Iterator[str]:
-    """Say how many sets rest on fewer than three devices."""
     counts = [n for name, n in zip(result.set_names, result.fit(THIRD_CYCLE).n_devices, strict=True) if name in spoken]
-    few = sum(n < 3 for n in counts)
-    if few:
+    if few := sum(n < 3 for n in counts):
         which = f"{few} of {len(counts)} sets rest" if len(counts) > 1 else "The set rests"
         yield (
             f"{which} on one or two devices. The smallest and largest of two hold 90 % "
             "of all devices with a confidence of only 1 %: two devices are not a band. Three devices of a "
             "set, tested alike, give EN 1990 X_k from their own spread, four X_d as well."
         )
+    if f"{MOST}_2" not in result.posteriors:
+        yield "No device has a second run, so nothing is said of a second earthquake."
 
 
 SLACK = 0.02
@@ -446,33 +441,27 @@ def agreement(rows: Sequence[Margin], reliability: float = SIDES[HIGH]) -> tuple
 def _disagreements(name: str, rows: Sequence[Margin], reliability: float) -> Iterator[str]:
     forces = [row for row in rows if row.method in (FACTORS, DESIGN) and row.unit == "kN"]
     lower, upper = ([row for row in forces if row.side == side] for side in (LOW, HIGH))
-    scale = max((abs(row.value) for row in rows if row.quantity == "third" and row.side == MIDDLE), default=0.0)
     ends = [row for row in rows if row.method == BANDS and base_of(row.quantity) in RANK]
-    lows, highs = ([row for row in ends if row.side == side] for side in (LOW, HIGH))
-    rarer = reliability >= SIDES[HIGH]
-    pairs = [(bound, end) for bound in lower for end in (*(lows if rarer else ()), *upper)]
-    pairs += [(end, bound) for bound in upper for end in (highs if rarer else ())]
+    lows, highs = ([row for row in ends if row.side == side and reliability >= SIDES[HIGH]] for side in (LOW, HIGH))
+    pairs = [(bound, end) for bound in lower for end in (*lows, *upper)]
+    pairs += [(end, bound) for bound in upper for end in highs]
     pairs += [(a, b) for a in ends for b in ends if a.side == b.side and is_part(a.quantity, b.quantity)]
-    own = {(LOWEST, LOW), (HIGHEST, HIGH)}  # the two numbers are what they are said to be
     two = [row for row in forces if row.method == DESIGN and reliability == SIDES[HIGH]]
-    same = [(row, e) for row in two for e in ends if (e.quantity, e.side) in own]
-    pairs += [p for row, e in same if row.side == e.side for p in ((row, e), (e, row))]
-    for lesser, greater in dict.fromkeys(pairs):
-        yield from _above(name, lesser, greater, scale)
+    own = {(LOWEST, LOW), (HIGHEST, HIGH)}  # the two numbers are what they are said to be
+    same = [(row, e) for row in two for e in ends if (e.quantity, e.side) in own and row.side == e.side]
+    pairs += [p for row, e in same for p in ((row, e), (e, row))]
+    scale = max((abs(row.value) for row in rows if row.quantity == "third" and row.side == MIDDLE), default=0.0)
+    ordered = [(lesser, greater, scale) for lesser, greater in dict.fromkeys(pairs)]
     ladder: dict[tuple[str, str], dict[str, Margin]] = {}
     for row in rows:
         kind = "new device" if row.method == BANDS else row.kind
         ladder.setdefault((row.quantity, kind), {})[row.side] = row
     for steps in ladder.values():
-        ordered = [steps[side] for side in (LOW, MIDDLE, HIGH) if side in steps]
-        for a, b in pairwise(ordered):
-            yield from _above(name, a, b, abs(a.value))
-
-
-def _above(name: str, lesser: Margin, greater: Margin, scale: float) -> Iterator[str]:
-    """Say so where what should be the lesser lies above; NaN, which stands for no value, contradicts nothing."""
-    if lesser.value > greater.value + SLACK * scale:
-        yield (
-            f"CONTRADICTION, {name}: {lesser.kind} ({lesser.quantity}, {lesser.value:.4g} {lesser.unit}) lies above "
-            f"{greater.kind} ({greater.quantity}, {greater.value:.4g} {greater.unit}). Use neither before it is settled"
-        )
+        ordered += [(a, b, abs(a.value)) for a, b in pairwise(steps[s] for s in (LOW, MIDDLE, HIGH) if s in steps)]
+    for lesser, greater, whole in ordered:
+        if lesser.value > greater.value + SLACK * whole:  # NaN, which stands for no value, contradicts nothing
+            yield (
+                f"CONTRADICTION, {name}: {lesser.kind} ({lesser.quantity}, {lesser.value:.4g} {lesser.unit}) lies "
+                f"above {greater.kind} ({greater.quantity}, {greater.value:.4g} {greater.unit}). Use neither before it "
+                "is settled"
+            )

@@ -105,7 +105,7 @@ def virtual_tests(
     driven: list[dict[LoadCase, list[Runs]]] = []
     loops: list[dict[str, tuple[Loop, ...]]] = []
     for specimen, of_one in zip(specimens, cases, strict=True):
-        read, widest = {}, dict[str, tuple[Loop, ...]]()
+        read, widest = dict[LoadCase, list[Runs]](), dict[str, tuple[Loop, ...]]()
         for case, runs in of_one.items():
             read[case] = []
             for belief in specimen.beliefs:
@@ -126,13 +126,16 @@ def virtual_tests(
         )
     own, own_least = first, least
     if asked is not None:
-        own = [
-            _read(drive(s.beliefs[0].model, s.beliefs[0].theta, s.histories, s.start_force_kN), s.histories)
-            for s in specimens
-        ]
+        own = [own_readings(s) for s in specimens]
         own_least = [max(map(counted_from, own))] * len(own)
     each = zip(specimens, driven, loops, least, own, own_least, strict=True)
     return tuple(_result(*of_one, carried=asked is not None) for of_one in each)
+
+
+def own_readings(specimen: Specimen) -> Runs:
+    """Read the force that the best model of a device gives in its own test."""
+    belief, runs = specimen.beliefs[0], specimen.histories
+    return _read(drive(belief.model, belief.theta, runs, specimen.start_force_kN), runs)
 
 
 def _read(forces: Sequence[FloatArray], runs: Sequence[History], *, measured: bool = False) -> Runs:

@@ -382,9 +382,9 @@ def _pairs(
         )
         both = np.array(list(a.values())), np.array(list(b.values()))
         seen = float(natural(both[0].mean() - both[1].mean())) if a and b else None
-        names = [" and ".join(g.name for g in groups) for groups in sides]
-        shown = [{device: float(natural(x)) for device, x in found.items()} for found in (a, b)]
-        out.append(PairContrast(*names, *shown, seen))
+        first, second = (" and ".join(g.name for g in groups) for groups in sides)
+        shown_a, shown_b = ({device: float(natural(x)) for device, x in found.items()} for found in (a, b))
+        out.append(PairContrast(first, second, shown_a, shown_b, seen))
         values.append(both)
     return tuple(out), values
 
