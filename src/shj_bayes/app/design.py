@@ -412,7 +412,7 @@ def export_analysis(
     drawn = bounds(design, result, amplitude, connections)
     speed = min(s.ranges["speed"] for s in specimens)
     source = campaign.name if campaign else TABLES_NAME
-    devices = () if draws is None else draw_devices(design, result, draws, speed)
+    devices = {} if draws is None else draw_devices(design, result, draws, speed)
     place = folder / target if out is None else out
     place.mkdir(parents=True, exist_ok=True)
     cycle = f"{amplitude:.3g} mm"
