@@ -38,7 +38,7 @@ from shj_bayes.population.readings import TABLE
 from shj_bayes.population.results import PopulationRecord, draws_of, fits_of
 from shj_bayes.results import codec
 from shj_bayes.results.campaign import Connection
-from shj_bayes.results.store import digest_of, package, packed, put_back, read_arrays, taken_out, unpacked, write_arrays
+from shj_bayes.results.store import digest_of, package, put_back, read_arrays, taken_out, write_arrays
 from shj_bayes.results.tables import Cells, write_workbook
 
 WAYS = (V_KNOWN, V_COMMON, V_UNKNOWN, V_BETWEEN)
@@ -389,7 +389,6 @@ def kept_pool(
         with damage_told(path.name, PopulationError):
             said = json.loads(arrays.pop("said").tobytes())
             if said["rests_on"] == wanted and said["arrays"] == digest_of(arrays):
-                arrays = unpacked(arrays)
                 tests = codec.from_json(Tests, put_back(said["tests"], arrays))
                 fits = fits_of({key: own for key, own in arrays.items() if "/" in key})
                 return tests, pool(tests, result, known=fits)
@@ -399,7 +398,7 @@ def kept_pool(
     design = pool(tests, result, progress=progress)
     arrays = {}
     said = {"rests_on": wanted, "tests": taken_out(codec.to_json(tests), arrays)}
-    arrays = packed(arrays | draws_of(design))
+    arrays |= draws_of(design)
     said["arrays"] = digest_of(arrays)
     write_arrays(arrays | {"said": np.frombuffer(json.dumps(said).encode(), np.uint8)}, path)
     return tests, design

@@ -12,7 +12,7 @@ from shj_bayes.planning.information import WHICH
 from shj_bayes.planning.plan import Plan, PlanRecord, WorthOfTest
 from shj_bayes.planning.rivals import ASSURANCE, WITHIN, PretestPosterior, mechanisms_of
 from shj_bayes.report.diagnosis_words import over_words
-from shj_bayes.report.figures.canvas import BLUE, PALE, RED, WIDE, Figure, alike, label, legend, sheet, svg
+from shj_bayes.report.figures.canvas import BLUE, PALE, RED, WIDE, Figure, alike, drawn, label, sheet, svg
 from shj_bayes.report.page import write_page
 
 MOST = 6000  # points of a line
@@ -134,10 +134,10 @@ def _pictures(plan: Plan) -> dict[str, Any]:
     top.x_numbers = 0
     label(top, "", "displacement (mm)")
     label(low, "time (s)", "speed (mm/s)")
-    drawn: dict[str, Any] = {"history": svg(figure), "protocol": protocol}
+    out: dict[str, Any] = {"history": svg(figure), "protocol": protocol}
     leading = [next(b for b in known.rivals if b.key == key) for key in known.keys[:2]]
     if len(leading) < 2 or not known.runs:  # before any test a curve is as likely above 0 as below it: no loop to draw
-        return drawn
+        return out
     placed = known.placed(histories([time], [motion])[0])
     forces = [b.model.force(b.model.laws.natural(b.z[None]), placed, 0.0)[0] for b in leading]
     names = [set_words(sorted(b.key), mechanisms_of(b.key)) for b in leading]
@@ -149,14 +149,13 @@ def _pictures(plan: Plan) -> dict[str, Any]:
         label(axes, "displacement (mm)", "force (kN)" if axes is figure.axes[0] else "")
     alike(figure.axes, y=True)
     figure.axes[1].rows = ("",)
-    drawn["rivals"] = svg(figure)
+    out["rivals"] = svg(figure)
     gap, noise = forces[0] - forces[1], _noise(known)
     figure, axes = sheet(WIDE, 202)
     axes.fill([-np.inf, np.inf], -2 * noise, 2 * noise, color=PALE, alpha=0.5, label="noise of a sample, 95 %")
     axes.plot(t, gap[thin], color=BLUE, linewidth=0.9, label="first less second")
-    label(axes, "time (s)", "difference (kN)")
-    legend(axes, 2)
-    return drawn | {"apart": svg(figure), "names": names, "gap_kN": np.abs(gap).max(), "noise_kN": noise}
+    apart = drawn(figure, "time (s)", "difference (kN)", 2)
+    return out | {"apart": apart, "names": names, "gap_kN": np.abs(gap).max(), "noise_kN": noise}
 
 
 def _noise(known: PretestPosterior) -> float:
@@ -178,6 +177,4 @@ def _devices(record: PlanRecord) -> dict[str, str]:
     axes.plot(n, [100 * row.half_width_expected for row in table], "o-", color=BLUE, size=4, label="typical")
     assured = [100 * row.half_width_assured for row in table]
     axes.plot(n, assured, "s-", color=RED, size=4, label="kept with a chance of 80 %")
-    label(axes, "further devices", "half width (% of the force)")
-    legend(axes, 3)
-    return {"devices": svg(figure)}
+    return {"devices": drawn(figure, "further devices", "half width (% of the force)", 3)}
