@@ -35,11 +35,10 @@ _MAY_STEER = re.compile(rb"\\[bfru]|[\x7f-\xff]")  # in JSON; without these, no 
 FOLDER_DIGITS = 12  # of a digest: a hundred thousand names of one slug share one with a chance of 2e-5
 MAX_ARRAYS = 2 * 1024**3  # draws of a hundred thousand sets
 MAX_SEARCHED = 5_000_000  # characters of TOML in which the line of a value is looked for: about a second
-_TOML = re.compile(  # texts of several lines, texts, remarks, signs, and anything between them
-    r'"""(?:\\.|[^\\])*?"{3,5}|\'{3}.*?\'{3,5}|"(?:\\.|[^"\\])*"|\'[^\']*\'|#[^\n]*|[\[\]{}=,.\n]|[^\s\[\]{}=,.#"\']+',
-    re.DOTALL,
+_TOML = re.compile(  # texts of several lines, heads of tables, keys, and the ends of lines
+    r'"""(?:\\.|[^\\])*?"{3,5}|\'{3}.*?\'{3,5}|^[ \t]*\[(?P<list>\[?)(?P<table>[^\]\n]+)|^(?P<key>[^=#\[\n]+)=|\n',
+    re.DOTALL | re.MULTILINE,
 )
-_DEPTH = {"[": 1, "{": 1, "]": -1, "}": -1}
 
 
 @contextmanager
@@ -252,41 +251,25 @@ def toml_line(path: Path, keys: Sequence[str | int]) -> int | None:
     None where there is no such key, or the file is long. What stands within braces or brackets begins where these do.
     """
     text = path.read_text(encoding="utf-8-sig")
-    lines = _toml_lines(text) if len(text) <= MAX_SEARCHED else {}
-    found = (lines.get(tuple(keys[:n])) for n in range(len(keys), 0, -1))
-    return next((line for line in found if line), None)
-
-
-def _toml_lines(text: str) -> dict[tuple[str | int, ...], int]:
-    """Line on which each ``key = value`` of a valid TOML text begins, by the way to it."""
     lines: dict[tuple[str | int, ...], int] = {}
     last: dict[tuple[str | int, ...], int] = {}  # place of the last table of each list of tables
     here: tuple[str | int, ...] = ()
-    words: list[str] = []  # of a header, or of a key and its =
-    line, begin, depth = 1, 1, 0  # depth of brackets and braces of a value
-    for match in _TOML.finditer(f"{text}\n"):
-        token = match[0]
-        line += token.count("\n")
-        if "=" in words:
-            depth += _DEPTH.get(token, 0)
-        elif token != "\n" and token[0] != "#":
-            begin = begin if words else line
-            words.append(token)
-        if token != "\n" or depth or not words:
-            continue
-        names = [word.strip("\"'") for word in words if word not in "[]=."]
-        if words[0] != "[":
+    line = 1
+    for match in _TOML.finditer(text) if len(text) <= MAX_SEARCHED else ():
+        names = [name.strip().strip("\"'") for name in (match["table"] or match["key"] or "").split(".")]
+        if match["key"]:
             for n in range(1, len(names) + 1):
-                lines.setdefault((*here, *names[:n]), begin)
-        else:
+                lines.setdefault((*here, *names[:n]), line)
+        elif match["table"]:
             here = ()
             for n, name in enumerate(names, start=1):
                 here += (name,)
-                if n == len(names) and words[1] == "[":
+                if n == len(names) and match["list"]:
                     last[here] = last.get(here, -1) + 1
                 here += (last[here],) if here in last else ()
-        words = []
-    return lines
+        line += match[0].count("\n")
+    found = (lines.get(tuple(keys[:n])) for n in range(len(keys), 0, -1))
+    return next((line for line in found if line), None)
 
 
 def file_digest(path: Path) -> str:

@@ -148,7 +148,7 @@ def _devices(record: PlanRecord) -> dict[str, str]:
     """Half width of what is known over the number of further devices."""
     table = record.further_devices.table if record.further_devices else ()
     keys = ("n_further", "half_width_expected", "half_width_assured")
-    n, expected, assured = ([float(getattr(row, key)) for row in table] for key in keys)
+    n, expected, assured = ([row[key] for row in table] for key in keys)
     return {"devices": devices(n, expected, assured, WITHIN)} if table else {}
 
 
