@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -120,10 +120,8 @@ class CardEntry:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MarginsRecord:
+class MarginsRecord(codec.Stored, file="margins.json", command="shj-bayes margins"):
     """Content of ``margins.json``."""
-
-    FILE: ClassVar[str] = "margins.json"
 
     schema: Literal["shj-bayes/margins/1"] = SCHEMA
     history: str

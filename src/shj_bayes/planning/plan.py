@@ -5,20 +5,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import write_text
-from shj_bayes.errors import PlanError, ShjError
+from shj_bayes.errors import PlanError
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch.hypothesis import ALPHA, MIN_EFFECT
 from shj_bayes.planning.information import OUTCOMES, WHICH, LinearQuantity, expected_information
 from shj_bayes.planning.protocol import LEEWAY, Protocol, ProtocolBlock, Rig
 from shj_bayes.planning.rivals import Further, PretestPosterior, mechanisms_of
-from shj_bayes.results.codec import IF_KNOWN
+from shj_bayes.results.codec import IF_KNOWN, Stored
 from shj_bayes.results.diagnosis import DependenceId
 from shj_bayes.results.store import write
 
@@ -115,13 +115,8 @@ class RankedProtocol:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanRecord:
+class PlanRecord(Stored, file="plan.json", command="shj-bayes plan", error=PlanError):
     """Content of ``plan.json``."""
-
-    FILE: ClassVar[str] = "plan.json"
-    ERROR: ClassVar[type[ShjError]] = PlanError
-    MISSING: ClassVar[str] = "holds no plan.json; run shj-bayes plan first"
-    AGAIN: ClassVar[str] = "run shj-bayes plan again"
 
     schema: Literal["shj-bayes/plan/1"] = SCHEMA
     question: Annotated[str, {"description": "which, force, or a quantity"}]

@@ -418,9 +418,9 @@ def test_fit_without_a_folder_writes_nothing(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (None, "holds no finished fit (no fit.json in it); run shj-bayes fit"),
+        (None, "holds no fit.json; run shj-bayes fit first"),
         ("{", "fit.json is damaged: "),
-        ('{"schema": "other/1"}', "has none of the schemas shj-bayes/fit/1, shj-bayes/fit/2; run the fit again"),
+        ('{"schema": "other/1"}', "has none of the schemas shj-bayes/fit/1, shj-bayes/fit/2; restore it, or run shj"),
         ("[1]", "has none of the schemas"),
     ],
 )

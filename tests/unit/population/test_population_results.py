@@ -123,7 +123,7 @@ def test_names_cannot_become_spreadsheet_formulas(result, tmp_path):
 
 
 def test_a_folder_without_a_population_is_refused(tmp_path):
-    with pytest.raises(PopulationError, match="holds no readable population"):
+    with pytest.raises(PopulationError, match=r"holds no population\.json"):
         load_population(tmp_path)
     (tmp_path / "population.json").write_text('{"schema": "other"}')
     np.savez(tmp_path / "population.npz", x=np.zeros(1))
