@@ -193,16 +193,13 @@ class CampaignResult(_Result):
         return f"<p><b>A new device of each set</b>: 5, 50 and 95 %</p>{table}"
 
 
-@dataclass(frozen=True, eq=False)
-class Campaign:
-    """A campaign as its manifest describes it: sets, devices and recordings."""
-
-    manifest: Manifest
+class Campaign(Manifest):
+    """A campaign as its manifest describes it: its name, its devices, and whether they are simulated."""
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
         """Read a manifest; `CampaignError` with the table and the value at fault."""
-        return cls(read_manifest(Path(path)))
+        return cls(*read_manifest(Path(path)))
 
     def run(
         self,
@@ -230,7 +227,7 @@ class Campaign:
             Show a progress bar.
         """
         folder, held = _place(out)
-        outcomes = run_campaign(self.manifest, folder, workers=workers, diagnose=diagnose, progress=progress)
+        outcomes = run_campaign(self, folder, workers=workers, diagnose=diagnose, progress=progress)
         result = summarise_campaign(outcomes, folder, seed=seed, progress=progress)
         return CampaignResult(folder, result.record, held)
 

@@ -58,10 +58,10 @@ def option(
     default: Any,
     words: str,  # what it is, for the help of the command and of the class
     metavar: str | None = None,  # value as the help of the command writes it
+    rule: Rule | None = None,  # what a value must be where one is given
     *,
     flag: str = "",  # in the place of the field's name
     choices: Sequence[str] = (),  # words that a command takes
-    rule: Rule | None = None,  # what a value must be where one is given
     typed: tuple[int, int] | None = None,  # smallest and largest whole number that a command takes
     commas: bool = False,  # several values stand between commas; else the flag may be given again
     shown: bool = True,  # whether the help of the command states the default
@@ -200,19 +200,19 @@ class PlanOptions:
 class MarginOptions:
     """What is asked of the margins."""
 
-    amplitude_mm: float | None = option(None, "Of a sine, in place of the tests themselves.", "MM", rule=POSITIVE)
-    speed_mm_s: float | None = option(None, "Its peak speed; largest tested by default.", "MM/S", rule=POSITIVE)
-    cycles: int | None = option(None, "Its cycles; 3 by default.", "N", rule=POSITIVE)
+    amplitude_mm: float | None = option(None, "Of a sine, in place of the tests themselves.", "MM", POSITIVE)
+    speed_mm_s: float | None = option(None, "Its peak speed; largest tested by default.", "MM/S", POSITIVE)
+    cycles: int | None = option(None, "Its cycles; 3 by default.", "N", POSITIVE)
     slip: Path | None = option(
         None, "Slip of the device (mm) over time (s), two columns, in place of the tests themselves.", "FILE"
     )
     history: Path | None = option(None, "The same as --slip.", "FILE")
     drift: Path | None = option(None, "Drift of a storey (mm) over time (s); slip follows by:", "FILE")
     storey_height: float | None = option(
-        None, "Slip = drift x lever arm / height; m, from 20 on mm.", "M", rule=length(1000.0, 19_999.0)
+        None, "Slip = drift x lever arm / height; m, from 20 on mm.", "M", length(1000.0, 19_999.0)
     )
     lever_arm: float | None = option(
-        None, "From the centre of rotation to the sliding plane; m or mm.", "M", rule=length(20.0, 10_000.0)
+        None, "From the centre of rotation to the sliding plane; m or mm.", "M", length(20.0, 10_000.0)
     )
     brace_angle_deg: float | None = option(
         None,
@@ -221,26 +221,24 @@ class MarginOptions:
         rule=("0 to below 90 degrees", lambda value: 0 <= value < 90),
     )
     extrapolate: bool = option(False, "Allow speed, travel and time beyond the tests: bounded laws.")
-    nominal_kN: float | None = option(None, "Nominal sliding force; typical device by default.", "KN", rule=POSITIVE)
+    nominal_kN: float | None = option(None, "Nominal sliding force; typical device by default.", "KN", POSITIVE)
     bolts: int | None = option(
-        None, "Nominal force V_ss = bolts x surfaces x mu x clamping, in its place.", "N", rule=POSITIVE
+        None, "Nominal force V_ss = bolts x surfaces x mu x clamping, in its place.", "N", POSITIVE
     )
     surfaces: int = option(2, "Sliding surfaces of V_ss.", rule=POSITIVE)
     mu: float | None = option(
         None, "Coefficient of friction of V_ss.", "MU", rule=("between 0 and 2", lambda value: 0 < value < 2)
     )
-    clamping_kN: float | None = option(None, "Clamping force (proof load) of one bolt, of V_ss.", "KN", rule=POSITIVE)
+    clamping_kN: float | None = option(None, "Clamping force (proof load) of one bolt, of V_ss.", "KN", POSITIVE)
     importance: str = option("II", "Importance class of the structure (EN 15129).", choices=("I", "II", "III"))
-    v_known: float | None = option(None, "Known coefficient of variation of the sliding force.", "V", rule=SHARE)
+    v_known: float | None = option(None, "Known coefficient of variation of the sliding force.", "V", SHARE)
     v_reason: str = option("", "Where V is known from; printed beside the values.", "WORDS")
     reliability: str = option("0.95", "Of the forces: share of devices within, or beta=1.5 (EN 1990).", "P")
     connections: int | None = option(
-        None, "Connections that act together: their sum, the largest of them.", "N", rule=between(1, 1000)
+        None, "Connections that act together: their sum, the largest of them.", "N", between(1, 1000)
     )
-    force_wanted_kN: float | None = option(
-        None, "Force to count on: bolts and clamping that it needs.", "KN", rule=POSITIVE
-    )
-    clamping_cov: float | None = option(None, "Coefficient of variation of one bolt's tightening.", "V", rule=SHARE)
+    force_wanted_kN: float | None = option(None, "Force to count on: bolts and clamping that it needs.", "KN", POSITIVE)
+    clamping_cov: float | None = option(None, "Coefficient of variation of one bolt's tightening.", "V", SHARE)
     sets: tuple[str, ...] = option((), "Draw up this set alone; may be given again.", "NAME", flag="--set")
 
     def __post_init__(self) -> None:

@@ -5,7 +5,6 @@ that ends. A file that a killed process left is taken over. Where a file system 
 """
 
 import errno
-import functools
 import glob
 import hashlib
 import inspect
@@ -22,6 +21,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime
+from functools import partial, wraps
 from io import BufferedReader
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -320,7 +320,7 @@ def alone_in(parameter: str, kept: str = "") -> Callable[[Callable[P, T]], Calla
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         signature = inspect.signature(function)
 
-        @functools.wraps(function)
+        @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> T:
             folder = Path(signature.bind(*args, **kwargs).arguments[parameter])
             with alone(folder, kept):
@@ -351,7 +351,11 @@ def alone(folder: Path, kept: str = "") -> Iterator[None]:
         yield
     finally:
         if handle is not None:
-            _release(handle, folder / LOCK)
+            # The file is taken away while it is locked, where the system allows that.
+            steps = (partial(os.unlink, folder / LOCK), partial(os.close, handle))
+            for step in steps if sys.platform != "win32" else reversed(steps):
+                with suppress(OSError):
+                    step()
         with suppress(OSError):
             for place in made:
                 place.rmdir()
@@ -379,9 +383,16 @@ def _locked(path: Path) -> int | None:
                 os.close(handle)
                 path.unlink(missing_ok=True)
                 return None
-            words = f"{path.parent.name} {_holder(handle)}; wait for it, or choose another folder with -o"
+            by = "another process"
+            with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):  # it has not written that yet
+                os.lseek(handle, 0, os.SEEK_SET)
+                who = json.loads(os.read(handle, _WRITTEN))
+                process, host, since = (shown(who[key]).strip("'") for key in ("process", "host", "since"))
+                by = f"process {process} on {host}, since {since}"
             os.close(handle)
-            raise ShjError(words) from None
+            raise ShjError(
+                f"{path.parent.name} is being written into by {by}; wait for it, or choose another folder with -o"
+            ) from None
         if there:
             who = {"process": os.getpid(), "host": socket.gethostname()}
             who["since"] = datetime.now().astimezone().isoformat(timespec="seconds")
@@ -389,28 +400,6 @@ def _locked(path: Path) -> int | None:
             os.write(handle, json.dumps(who).encode()[:_WRITTEN])
             return handle
         os.close(handle)
-
-
-def _holder(handle: int) -> str:
-    """Say who writes into a folder, as far as that stands in its file."""
-    try:
-        os.lseek(handle, 0, os.SEEK_SET)
-        who = json.loads(os.read(handle, _WRITTEN))
-        process, host, since = (shown(who[key]).strip("'") for key in ("process", "host", "since"))
-        return f"is being written into by process {process} on {host}, since {since}"
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):  # it has not written that yet
-        return "is being written into by another process"
-
-
-def _release(handle: int, path: Path) -> None:
-    """Take the file away while it is locked, where the system allows that, then unlock it."""
-    with suppress(OSError):
-        if sys.platform != "win32":
-            path.unlink()
-    os.close(handle)
-    with suppress(OSError):
-        if sys.platform == "win32":
-            path.unlink()
 
 
 if sys.platform == "win32":

@@ -195,7 +195,8 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
     who = [f"{side}: {name}" + ("" if of == (name,) else f" ({', '.join(of)})") for side, name, of in sides]
     said = {c.quantity: contrast_words(c, a, b) for c in contrasts}
     multiplicity = multiplicity_words(forces, parameters, len(strata))
-    lines = [*who, *comparison_lines(contrasts), "", COLUMNS.format(rope=rope_percent), "", *pair_lines(contrasts), ""]
+    table, of_pairs = comparison_lines(contrasts)
+    lines = [*who, *table, "", COLUMNS.format(rope=rope_percent), "", *of_pairs, ""]
     lines += [] if forces else ["Not every set gives K, Fy, beta and gamma: no forces are compared.", ""]
     lines += [f"- {words}" for words in (*said.values(), *map(curve_words, curves))]
     record = {
@@ -266,52 +267,36 @@ def compared_pairs(folder: Path, result: PopulationResult) -> tuple[tuple[CurveC
     return found, pooled_forces(folder, result, specimens)
 
 
-def comparison_lines(contrasts: Sequence[Contrast]) -> list[str]:
-    """Comparison as a table of text, one line per quantity."""
+def comparison_lines(contrasts: Sequence[Contrast]) -> tuple[list[str], list[str]]:
+    """Comparison as tables of text: one line per quantity, and one per pair of sets with what was observed of it."""
+
+    def shown(value: float | None) -> str:
+        return "-" if value is None else f"{value:.3g}"
+
+    def p(value: float | None) -> str:
+        return "-" if value is None else f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
+
+    def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+        first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
+        return [
+            "   ".join([f"  {head:{first}}", *(f"{cell:>{width}}" for cell, width in zip(cells, others, strict=True))])
+            for head, *cells in rows
+        ]
+
     words = ("observed", "a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted (least)")
     rows = [["", *words, "Holm", "spread a/b"]]
     for c in contrasts:
-        tests = c.tests
-        exact = f"{_p(tests.permutation_p)} ({_p(tests.permutation_least)})"
-        rows.append(
-            [
-                c.quantity + ("" if c.unit == "1" else f" {c.unit}"),
-                "-" if c.observed is None else f"{c.observed:.3g}",
-                f"{c.q50:.3g}",
-                f"{c.q05:.3g} to {c.q95:.3g}",
-                *(f"{x:.2f}" for x in (c.probability_level, c.probability_rope, c.superiority)),
-                _p(tests.welch_p),
-                exact if tests.permutation_p is not None else "-",
-                f"{_p(c.holm_p)} {c.holm_test}".strip(),
-                f"{c.spread_factor[1]:.2f}",
-            ]
-        )
-    return _aligned(rows)
-
-
-def pair_lines(contrasts: Sequence[Contrast]) -> list[str]:
-    """List what was observed pair by pair, a line each: quotient or difference of the means of the devices."""
-    rows = [["Observed, pair by pair", "devices", *(c.quantity for c in contrasts)]]
+        exact, least = c.tests.permutation_p, c.tests.permutation_least
+        numbers = [shown(c.observed), f"{c.q50:.3g}", f"{c.q05:.3g} to {c.q95:.3g}"]
+        numbers += [f"{x:.2f}" for x in (c.probability_level, c.probability_rope, c.superiority)]
+        numbers += [p(c.tests.welch_p), "-" if exact is None else f"{p(exact)} ({p(least)})"]
+        numbers += [f"{p(c.holm_p)} {c.holm_test}".strip(), f"{c.spread_factor[1]:.2f}"]
+        rows.append([c.quantity + ("" if c.unit == "1" else f" {c.unit}"), *numbers])
+    pairs = [["Observed, pair by pair", "devices", *(c.quantity for c in contrasts)]]
     for i, pair in enumerate(contrasts[0].pairs):
         counts = f"{len(pair.devices_a)}, {len(pair.devices_b)}"
-        cells = ("-" if (seen := c.pairs[i].observed) is None else f"{seen:.3g}" for c in contrasts)
-        rows.append([f"{pair.set_a} / {pair.set_b}", counts, *cells])
-    return _aligned(rows)
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
-    return [
-        "   ".join([f"  {head:{first}}", *(f"{cell:>{width}}" for cell, width in zip(cells, others, strict=True))])
-        for head, *cells in rows
-    ]
-
-
-def _p(value: float | None) -> str:
-    """Write a p-value; a dash where the test cannot be made."""
-    if value is None:
-        return "-"
-    return f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
+        pairs.append([f"{pair.set_a} / {pair.set_b}", counts, *(shown(c.pairs[i].observed) for c in contrasts)])
+    return aligned(rows), aligned(pairs)
 
 
 TABLES_NAME = "Published tables"

@@ -220,13 +220,10 @@ def _weighed(
     if force > rig.max_force_kN:
         broken = (*broken, f"force up to {force:.4g} kN, allowed {rig.max_force_kN:.4g}")
     sds = [one.sd for one in told if one.sd is not None]
+    as_it_is = ("name", "blocks", "times", "largest_mm", "fastest_mm_s", "travel_m")
     return RankedProtocol(
-        name=protocol.name,
-        blocks=protocol.blocks,
+        **{name: getattr(protocol, name) for name in as_it_is},
         minutes=minutes,
-        largest_mm=protocol.largest_mm,
-        fastest_mm_s=protocol.fastest_mm_s,
-        travel_m=protocol.travel_m,
         file=None,
         gain_nats=gain,
         gain_per_minute=gain / minutes,
@@ -237,7 +234,6 @@ def _weighed(
         misread=max(one.misread_kN / k.sliding_kN for one, k in zip(told, known, strict=True)),
         force_kN=force,
         limits_broken=broken,
-        times=protocol.times,
     )
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -93,29 +92,24 @@ class Protocol:
     times: int = 1  # how often it comes
     samples: tuple[FloatArray, Motion] | None = None  # times (s) from 0, and motion about the middle of the stroke
 
-    @cached_property
-    def duration_s(self) -> float:
-        """Duration, s."""
-        return float(self.samples[0][-1]) if self.samples else self.times * sum(b.duration_s for b in self.blocks)
+    duration_s: float = field(init=False)
+    largest_mm: float = field(init=False)  # displacement to either side of the middle
+    fastest_mm_s: float = field(init=False)
+    travel_m: float = field(init=False)  # distance moved
 
-    @cached_property
-    def largest_mm(self) -> float:
-        """Largest displacement to either side of the middle, mm."""
+    def __post_init__(self) -> None:
+        """Sum up what it does."""
         if self.samples:
-            return float(np.abs(self.samples[1].displacement_mm).max())
-        return max(block.amplitude_mm for block in self.blocks)
-
-    @cached_property
-    def fastest_mm_s(self) -> float:
-        """Largest speed, mm/s."""
-        return float(self.samples[1].speed_mm_s.max()) if self.samples else max(b.speed_mm_s for b in self.blocks)
-
-    @cached_property
-    def travel_m(self) -> float:
-        """Distance moved, m."""
-        if self.samples:
-            return float(self.samples[1].travel_mm[-1]) / 1000.0
-        return self.times * sum(b.travel_m for b in self.blocks)
+            time, motion = self.samples
+            largest, fastest = np.abs(motion.displacement_mm).max(), motion.speed_mm_s.max()
+            said = {"duration_s": time[-1], "travel_m": motion.travel_mm[-1] / 1000.0}
+        else:
+            largest, fastest = (max(getattr(b, name) for b in self.blocks) for name in ("amplitude_mm", "speed_mm_s"))
+            said = {
+                name: self.times * sum(getattr(b, name) for b in self.blocks) for name in ("duration_s", "travel_m")
+            }
+        for name, value in (said | {"largest_mm": largest, "fastest_mm_s": fastest}).items():
+            object.__setattr__(self, name, float(value))
 
     def sampled(self, rate_Hz: float) -> tuple[FloatArray, Motion]:
         """Give times (s) and exact motion at a sampling rate.
