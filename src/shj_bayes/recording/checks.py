@@ -32,85 +32,81 @@ def repair(
             raise RecordingError(
                 f"{name}: the {label} column holds no number; choose another with --columns {label}=..."
             )
-    t, x, f, repeats, more = _at_own_rates(t, x, f)
-    findings += more
-    bad_x, bad_f, jumps = not_readings(t, x, f)
-    if jumps:
-        step = np.nan_to_num(np.diff(x))
-        step[jumps] = 0.0
-        known = np.isfinite(f)
-        if exchanged(np.append(0.0, np.cumsum(step)), np.interp(t, t[known], f[known])) > limits.SWAPPED_PRODUCT:
-            # A force that is taken for the displacement jumps because it is one.
-            bad_x, bad_f, jumps = np.zeros_like(bad_x), np.zeros_like(bad_f), []
-    findings += [*_spikes("displacement", t, x, bad_x), *_spikes("force", t, f, bad_f), *_jumps(t, x, jumps)]
+    t, x, f, repeats = _at_own_rates(t, x, f, findings)
+    bad_x, bad_f = _without_readings(t, x, f, findings)
     x, f = np.where(bad_x, np.nan, x), np.where(bad_f, np.nan, f)
-    keep, more = complete_rows((x, f))
-    t, x, f, repeats, findings = t[keep], x[keep], f[keep], repeats[keep], findings + more
+    keep = complete_rows(x, f, findings)
+    t, x, f, repeats = t[keep], x[keep], f[keep], repeats[keep]
     if t.size < 2:
         raise RecordingError(f"{name}: {t.size} rows have displacement and force; at least 2 are needed")
-    x, filled_x, more_x = fill(t, x, "displacement", bad_x[keep])
-    f, filled_f, more_f = fill(t, f, "force", bad_f[keep])
-    cut_x, cut_f, dead = clipped(x, f), clipped(f, x), stopped(f, x)
-    findings += [*more_x, *more_f, *_clipping("displacement", x, cut_x), *_clipping("force", f, cut_f)]
-    findings += [*_stops(t, f, dead), *clock_findings(t, x), *magnitude_findings(x, f)]
-    f, more = sign_findings(x, f)
-    return t, x, f, ~(repeats | filled_x | filled_f | cut_x | cut_f | dead), (*findings, *more)
-
-
-def inspect(recording: Recording) -> tuple[Finding, ...]:
-    """Run the checks that need the half-cycles; the recording's own findings are not repeated."""
-    try:
-        motion = motion_of(recording)
-    except RecordingError as error:
-        return tuple(few_points(recording, None)) or (Finding("no-motion", "unusable", str(error)),)
-    return tuple(cycle_findings(recording, motion))
+    x, filled_x = fill(t, x, "displacement", bad_x[keep], findings)
+    f, filled_f = fill(t, f, "force", bad_f[keep], findings)
+    standing = _standing(t, x, f, findings)
+    findings += [*clock_findings(t, x), *_magnitudes(x, f)]
+    return t, x, _signed(x, f, findings), ~(repeats | filled_x | filled_f | standing), tuple(findings)
 
 
 def _at_own_rates(
-    t: FloatArray, x: FloatArray, f: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, list[Finding]]:
-    """Take a channel that is slower than the table at its own rate.
+    t: FloatArray, x: FloatArray, f: FloatArray, findings: list[Finding]
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Take a channel that is slower than the table at its own rate; the last value marks the rows that repeat a force.
 
     A displacement that repeats drives nothing: the rows with a new one are kept, at the moments at which it was read. A
-    force that repeats is no evidence, and the displacement of these rows is. Times, displacement, force, rows that
-    repeat a force, findings.
+    force that repeats is no evidence, and the displacement of these rows is.
     """
-    findings = []
+
+    def say(label: str, period: float, then: str) -> None:
+        rate = 1.0 / float(np.median(np.diff(t)))
+        ordinal = {2.0: "2nd", 3.0: "3rd"}.get(round(period, 1), f"{round(period, 1):g}th")
+        message = (
+            f"{label} changes in every {ordinal} row only, at {rate / period:.4g} Hz of {rate:.4g} Hz: its channel is "
+            f"slower than the table; it is used at its own rate, and {then}"
+        )
+        findings.append(Finding("held", "repaired", message))
+
     if of := held(x):
-        findings.append(_held_finding("displacement", of.period, t, "the rows with a new one are kept"))
+        say("displacement", of.period, "the rows with a new one are kept")
         t, x, f = of.at_readings(t), x[of.fresh], of.at_readings(f)
-    repeats = np.zeros(t.size, dtype=np.bool_)
-    if of := held(f):
-        findings.append(_held_finding("force", of.period, t, "the rows that repeat one are not used as evidence"))
-        moments, places = of.at_readings(t), of.at_readings(x)
-        t, x, repeats = t.copy(), x.copy(), ~of.fresh
-        t[of.fresh], x[of.fresh] = moments, places
-    return t, x, f, repeats, findings
+    if not (of := held(f)):
+        return t, x, f, np.zeros(t.size, dtype=np.bool_)
+    say("force", of.period, "the rows that repeat one are not used as evidence")
+    moments, places = t.copy(), x.copy()
+    moments[of.fresh], places[of.fresh] = of.at_readings(t), of.at_readings(x)
+    return moments, places, f, ~of.fresh
 
 
-def _held_finding(label: str, period: float, t: FloatArray, then: str) -> Finding:
-    """Say at which rate a channel was read."""
-    rate = 1.0 / float(np.median(np.diff(t)))
-    ordinal = {2.0: "2nd", 3.0: "3rd"}.get(round(period, 1), f"{round(period, 1):g}th")
-    message = (
-        f"{label} changes in every {ordinal} row only, at {rate / period:.4g} Hz of {rate:.4g} Hz: its channel is "
-        f"slower than the table; it is used at its own rate, and {then}"
-    )
-    return Finding("held", "repaired", message)
-
-
-def _spikes(label: str, t: FloatArray, values: FloatArray, bad: BoolArray) -> Iterator[Finding]:
-    """Name rows that are no readings."""
-    if not bad.any():
-        return
-    count, times, first = int(np.count_nonzero(bad)), len(runs(bad)), int(np.argmax(bad))
-    unit, factor = _unit_of(label, values[~bad & np.isfinite(values)])
-    message = (
-        f"{label} jumps away and back {times} time{'s' if times > 1 else ''} ({count} rows), first to "
-        f"{values[first] * factor:.4g} {unit} at {t[first]:.6g} s, as no device does; taken for no readings: bridged "
-        "or left out, and not used as evidence"
-    )
-    yield Finding("spikes", "repaired", message, count)
+def _without_readings(
+    t: FloatArray, x: FloatArray, f: FloatArray, findings: list[Finding]
+) -> tuple[BoolArray, BoolArray]:
+    """Cells of displacement and force that are no readings; a displacement that goes on elsewhere is refused."""
+    bad_x, bad_f, jumps = not_readings(t, x, f)
+    step = np.nan_to_num(np.diff(x))
+    if jumps:
+        moves, known = step.copy(), np.isfinite(f)
+        moves[jumps] = 0.0
+        if _exchanged(np.append(0.0, np.cumsum(moves)), np.interp(t, t[known], f[known])) > limits.SWAPPED_PRODUCT:
+            # A force that is taken for the displacement jumps because it is one.
+            bad_x, bad_f, jumps = np.zeros_like(bad_x), np.zeros_like(bad_f), []
+    for label, values, bad in (("displacement", x, bad_x), ("force", f, bad_f)):
+        if bad.any():
+            count, times, first = int(np.count_nonzero(bad)), len(runs(bad)), int(np.argmax(bad))
+            unit, scale = _unit_of(label, values[~bad & np.isfinite(values)])
+            message = (
+                f"{label} jumps away and back {times} time{'s' if times > 1 else ''} ({count} rows), first to "
+                f"{values[first] * scale:.4g} {unit} at {t[first]:.6g} s, as no device does; taken for no readings: "
+                "bridged or left out, and not used as evidence"
+            )
+            findings.append(Finding("spikes", "repaired", message, count))
+    if jumps:
+        worst = jumps[int(np.argmax(np.abs(step[jumps])))]
+        message = (
+            f"displacement jumps {len(jumps)} time{'s' if len(jumps) > 1 else ''} from one row to the next, by up to "
+            f"{abs(step[worst]):.3g} mm, at {t[worst]:.6g} s, which the rest of the record excludes, while the force "
+            "goes on: a sensor slipped, or rows are no readings; correct the displacement behind each jump, take such "
+            "rows out of the file, or give the parts between them as files of their own"
+        )
+        findings.append(Finding("jumps", "unusable", message, len(jumps)))
+    return bad_x, bad_f
 
 
 def _unit_of(label: str, values: FloatArray) -> tuple[str, float]:
@@ -118,49 +114,30 @@ def _unit_of(label: str, values: FloatArray) -> tuple[str, float]:
     return ("mm", 1.0) if label == "displacement" else unit_of(values)
 
 
-def _jumps(t: FloatArray, x: FloatArray, jumps: list[int]) -> Iterator[Finding]:
-    """Refuse a displacement that goes on elsewhere."""
-    if not jumps:
-        return
-    sizes = np.abs(np.diff(x))[jumps]
-    worst = jumps[int(np.nanargmax(sizes))]
-    message = (
-        f"displacement jumps {len(jumps)} time{'s' if len(jumps) > 1 else ''} from one row to the next, by up to "
-        f"{np.nanmax(sizes):.3g} mm, at {t[worst]:.6g} s, which the rest of the record excludes, while the force goes "
-        "on: a sensor slipped, or rows are no readings; correct the displacement behind each jump, take such rows out "
-        "of the file, or give the parts between them as files of their own"
-    )
-    yield Finding("jumps", "unusable", message, len(jumps))
+def _standing(t: FloatArray, x: FloatArray, f: FloatArray, findings: list[Finding]) -> BoolArray:
+    """Mark where a channel is clipped or has stopped; a displacement that is clipped no longer drives the law."""
+    cut_x, cut_f, dead = clipped(x, f), clipped(f, x), stopped(f, x)
+    for label, values, cut, most in (("displacement", x, cut_x, limits.BAD_CELL_SHARE), ("force", f, cut_f, 0.5)):
+        if cut.any():
+            count, share, (unit, scale) = int(np.count_nonzero(cut)), float(np.mean(cut)), _unit_of(label, values)
+            levels = " and ".join(f"{level * scale:.4g}" for level in np.unique(values[cut]))
+            where = f"{levels} {unit} in {count} samples ({share:.1%})"
+            message = f"{label} is clipped at {where}, which are not used as evidence"
+            findings.append(Finding("clipped", "unusable" if share > most else "warning", message, count))
+    if dead.any():
+        count, share, first, (unit, scale) = int(dead.sum()), float(np.mean(dead)), int(np.argmax(dead)), unit_of(f)
+        message = (
+            f"force holds {f[first] * scale:.4g} {unit} in {count} rows ({share:.1%}), from {t[first]:.6g} s, while "
+            "the device moves: its channel has stopped; these rows are not used as evidence"
+        )
+        findings.append(Finding("stopped", "unusable" if share > 0.5 else "warning", message, count))
+    return np.asarray(cut_x | cut_f | dead)
 
 
-def _stops(t: FloatArray, f: FloatArray, dead: BoolArray) -> Iterator[Finding]:
-    """Name a force channel that has stopped."""
-    if not dead.any():
-        return
-    count, share, first = int(np.count_nonzero(dead)), float(np.mean(dead)), int(np.argmax(dead))
-    unit, factor = unit_of(f)
-    message = (
-        f"force holds {f[first] * factor:.4g} {unit} in {count} rows ({share:.1%}), from {t[first]:.6g} s, while the "
-        "device moves: its channel has stopped; these rows are not used as evidence"
-    )
-    yield Finding("stopped", "unusable" if share > 0.5 else "warning", message, count)
-
-
-def _clipping(label: str, values: FloatArray, cut: BoolArray) -> Iterator[Finding]:
-    """Name a clipped channel; displacement that is clipped can no longer drive the law."""
-    if not cut.any():
-        return
-    count, share, (unit, factor) = int(np.count_nonzero(cut)), float(np.mean(cut)), _unit_of(label, values)
-    levels = " and ".join(f"{level * factor:.4g}" for level in np.unique(values[cut]))
-    message = f"{label} is clipped at {levels} {unit} in {count} samples ({share:.1%}), which are not used as evidence"
-    severe = share > (limits.BAD_CELL_SHARE if label == "displacement" else 0.5)
-    yield Finding("clipped", "unusable" if severe else "warning", message, count)
-
-
-def magnitude_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:
-    """Ranges, of arrays of shape (n_samples,), that no device of this kind has, which means a wrong unit or column."""
-    force, stroke = float(np.max(np.abs(force_kN))), float(np.ptp(displacement_mm))
-    varies = float(np.ptp(force_kN))
+def _magnitudes(displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:
+    """Ranges that no device of this kind has, which means a wrong unit or column."""
+    force, varies = float(np.max(np.abs(force_kN))), float(np.ptp(force_kN))
+    stroke = float(np.ptp(displacement_mm))
     checks = (
         (force > limits.MAX_FORCE_KN, "force-unit", f"force up to {force:.6g} kN; the largest machines reach "
          f"{limits.MAX_FORCE_KN:g} kN; if it is in N, use --units force=N"),
@@ -175,105 +152,86 @@ def magnitude_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> lis
     return [Finding(code, "unusable", message) for found, code, message in checks if found]
 
 
-def dissipation(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
-    """Work done on the device over the work of a rigid friction loop with the same force range and travel.
-
-    About 0.8 for friction, 0 for elastic, negative when one of the signs is wrong; arrays have shape (n_samples,).
-    """
-    step = np.diff(displacement_mm)
-    mean = 0.5 * (force_kN[1:] + force_kN[:-1])
-    centre = 0.5 * (np.percentile(force_kN, 2) + np.percentile(force_kN, 98))
-    half = 0.5 * (np.percentile(force_kN, 98) - np.percentile(force_kN, 2))
-    travel = float(np.sum(np.abs(changes(displacement_mm))))
-    return float(np.sum((mean - centre) * step) / (half * travel)) if half > 0 and travel > 0 else 0.0
-
-
-def changes(values: FloatArray) -> FloatArray:
+def _changes(values: FloatArray) -> FloatArray:
     """Take the change over each thousandth of a record, shape (n,); from sample to sample it would be mostly noise."""
     return np.diff(values[:: max(1, values.size // 1000)])
 
 
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def _shape(values: FloatArray) -> FloatArray:
+    """How a channel, shape (n_samples,), moves: burstiness and roughness, shape (2,).
 
-
-def burstiness(values: FloatArray) -> float:
-    """Root mean square over mean of the changes of a channel, shape (n_samples,).
-
-    Near 1.1 for a driven displacement, more for a force that reverses.
+    Root mean square over mean of the changes: near 1.1 for a driven displacement, more for a force that reverses. Root
+    mean square of the second changes over that of the first: below 0.4 for a driven displacement, 1.7 for white noise.
     """
-    change = changes(values)
-    mean = float(np.mean(np.abs(change)))
-    return _rms(change) / mean if mean > 0 else 0.0
+    change = _changes(values)
+    mean, size = float(np.mean(np.abs(change))), float(np.sqrt(np.mean(change**2)))
+    rough = float(np.sqrt(np.mean(np.diff(change) ** 2))) / size if change.size > 1 and size > 0 else 0.0
+    return np.array([size / mean if mean > 0 else 0.0, rough])
 
 
-def roughness(values: FloatArray) -> float:
-    """Root mean square of the second differences over that of the first, at a thousandth of the record.
-
-    Below 0.4 for a driven displacement, 1.7 for white noise.
-    """
-    change = changes(values)
-    if change.size < 2:
-        return 0.0
-    size = _rms(change)
-    return _rms(np.diff(change)) / size if size > 0 else 0.0
-
-
-def half_cycles(values: FloatArray) -> int:
+def _half_cycles(values: FloatArray) -> int:
     """Count the half-cycles of a channel, shape (n_samples,), with the threshold that the displacement has."""
     return len(hysteresis(values, least_return(values, noise_of(values)))) + 1
 
 
-def exchanged(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
+def _exchanged(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
     """How much more the displacement looks like a force, and the force like a driven displacement.
 
-    Product of three ratios: of the jumps, of the roughness and of the half-cycles of displacement and force, shape
-    (n_samples,). At most 1.8 in 26 public recordings; 12 and more with their columns exchanged, but for two that were
-    digitised.
+    Product of the ratios of jumps, roughness and half-cycles: at most 1.8 in 26 public recordings; 12 and more with
+    their columns exchanged, but for two that were digitised.
     """
-    measures = (burstiness, roughness, half_cycles)
-    return float(np.prod([measure(displacement_mm) / max(measure(force_kN), 1e-300) for measure in measures]))
+    alike = float(np.prod(_shape(displacement_mm) / np.maximum(_shape(force_kN), 1e-300)))
+    return alike * _half_cycles(displacement_mm) / _half_cycles(force_kN)
 
 
-def sign_findings(displacement_mm: FloatArray, force_kN: FloatArray) -> tuple[FloatArray, list[Finding]]:
-    """Turn a force of the wrong sign round; name columns that seem swapped; arrays have shape (n_samples,).
+def _signed(x: FloatArray, f: FloatArray, findings: list[Finding]) -> FloatArray:
+    """Turn a force of the wrong sign round; name columns that seem swapped.
 
     A passive device takes up energy. A loop that gives energy back has one channel with the wrong sign, or the two
     channels swapped. Turning the force round is safe: it only exchanges the names push and pull. Swapping is not: it is
     for the user to say which column is which.
     """
-    area = dissipation(displacement_mm, force_kN)
+    # Work over that of a rigid friction loop of the same range and travel: about 0.8 for friction, 0 for elastic.
+    low, high = np.percentile(f, [2, 98])
+    most = 0.5 * float(high - low) * float(np.sum(np.abs(_changes(x))))
+    work = float(np.sum((0.5 * (f[1:] + f[:-1]) - 0.5 * (low + high)) * np.diff(x)))
+    area = work / most if most > 0 else 0.0
     if area > -limits.SIGN_SHARE:
-        return force_kN, []
-    if exchanged(displacement_mm, force_kN) > limits.SWAPPED_PRODUCT:
+        return f
+    lost = f"(area {area:+.2f} of a friction loop; above {-limits.SIGN_SHARE:g} is allowed)"
+    if _exchanged(x, f) > limits.SWAPPED_PRODUCT:
         message = (
-            f"displacement and force seem swapped: the loop gives energy back (area {area:+.2f} of a friction loop; "
-            f"above {-limits.SIGN_SHARE:g} is allowed), and the displacement is rougher than the force, jumps more and "
-            f"turns more often ({half_cycles(displacement_mm)} half-cycles, the force {half_cycles(force_kN)})"
+            f"displacement and force seem swapped: the loop gives energy back {lost}, and the displacement is rougher "
+            f"than the force, jumps more and turns more often ({_half_cycles(x)} half-cycles, the force "
+            f"{_half_cycles(f)})"
         )
-        return force_kN, [Finding("swapped-columns", "unusable", message)]
+        findings.append(Finding("swapped-columns", "unusable", message))
+        return f
     message = (
-        f"the loop gave energy back (area {area:+.2f} of a friction loop; above {-limits.SIGN_SHARE:g} is allowed), so "
-        "one channel has the wrong sign; the force is turned round, which exchanges the names push and pull"
+        f"the loop gave energy back {lost}, so one channel has the wrong sign; the force is turned round, which "
+        "exchanges the names push and pull"
     )
-    return -force_kN, [Finding("force-sign", "repaired", message)]
+    findings.append(Finding("force-sign", "repaired", message))
+    return -f
 
 
-def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
-    """Too few samples or half-cycles, offsets and lag."""
-    findings = few_points(recording, motion)
-    if recording.n_samples < limits.MIN_SAMPLES:
-        message = f"{recording.n_samples} samples; at least {limits.MIN_SAMPLES} are needed"
-        findings.append(Finding("few-samples", "unusable", f"{message}; export every row, or sample faster"))
-    if motion.n_half < limits.FEW_HALF_CYCLES:
-        severe = motion.n_half < limits.MIN_HALF_CYCLES
+def inspect(recording: Recording) -> tuple[Finding, ...]:
+    """Run the checks that need the half-cycles; the recording's own findings are not repeated."""
+    try:
+        motion = motion_of(recording)
+    except RecordingError as error:
+        return tuple(_few_points(recording, None)) or (Finding("no-motion", "unusable", str(error)),)
+    findings, n, n_half = [*_few_points(recording, motion)], recording.n_samples, motion.n_half
+    if n < limits.MIN_SAMPLES:
+        message = f"{n} samples; at least {limits.MIN_SAMPLES} are needed; export every row, or sample faster"
+        findings.append(Finding("few-samples", "unusable", message))
+    if n_half < limits.FEW_HALF_CYCLES:
         message = (
-            f"{motion.n_half} half-cycles; at least {limits.MIN_HALF_CYCLES} are needed, "
-            f"{limits.FEW_HALF_CYCLES} to see a change from cycle to cycle; record more cycles"
+            f"{n_half} half-cycles; at least {limits.MIN_HALF_CYCLES} are needed, {limits.FEW_HALF_CYCLES} to see a "
+            "change from cycle to cycle; record more cycles"
         )
-        findings.append(Finding("few-cycles", "unusable" if severe else "warning", message))
-    blind = blind_stretches(recording, motion)
-    if blind:
+        findings.append(Finding("few-cycles", "unusable" if n_half < limits.MIN_HALF_CYCLES else "warning", message))
+    if blind := blind_stretches(recording, motion):
         count = len({sample for first, last in blind for sample in range(first, last)})
         message = (
             f"the device may have turned unseen in {len(blind)} gap{'s' if len(blind) > 1 else ''} in time, first "
@@ -281,166 +239,142 @@ def cycle_findings(recording: Recording, motion: Motion) -> list[Finding]:
             "not used as evidence; export the test without the gap, or the parts as files of their own"
         )
         findings.append(Finding("gap-turns", "warning", message, count))
-    per_half = recording.n_samples / motion.n_half
-    if per_half < limits.MIN_SAMPLES_PER_HALF_CYCLE and not findings:
+    if n / n_half < limits.MIN_SAMPLES_PER_HALF_CYCLE and not findings:
         message = (
-            f"{per_half:.1f} samples in a half-cycle; at least {limits.MIN_SAMPLES_PER_HALF_CYCLE} are needed "
+            f"{n / n_half:.1f} samples in a half-cycle; at least {limits.MIN_SAMPLES_PER_HALF_CYCLE} are needed "
             f"to see the stiffness; sample faster"
         )
         findings.append(Finding("coarse-sampling", "warning", message))
-    findings += resampled_findings(recording, motion.n_half)
-    return [*findings, *_offsets(recording, motion), *_lag(recording, motion)]
+    return (*findings, *_resampled(recording, n_half), *_offsets(recording, motion), *_lag(recording, motion))
 
 
-def few_points(recording: Recording, motion: Motion | None) -> list[Finding]:
+def _few_points(recording: Recording, motion: Motion | None) -> Iterator[Finding]:
     """Refuse points that are too few, or too uneven in time, to show where the motion turns, and with it K and beta.
 
     Turning points alone, points picked off a figure, rows thinned out: the displacement from one to the next is not
     known, and what is not known of it looks like noise. The force tells: it turns round where no reversal is found.
-    Without a `motion` the points alone are judged.
     """
     x, f, n = recording.displacement_mm, recording.force_kN, recording.n_samples
     turns = hysteresis(x, limits.FEW_RETURN * float(np.ptp(x)))
     apart = float(np.median(np.diff(turns))) if len(turns) > limits.FEW_HALF_CYCLES else np.inf
     low, high = (float(level) for level in np.percentile(f, [5, 95]))
     push = (f - 0.5 * (low + high)) / max(0.5 * (high - low), 1e-300)  # over the plateau
-    few = None
-    follows = bool(turns) and float(np.median(np.sign(x[turns] - np.median(x)) * push[turns])) > 0.5
-    if apart < limits.FEW_APART and follows:
+    if apart < limits.FEW_APART and float(np.median(np.sign(x[turns] - np.median(x)) * push[turns])) > 0.5:
         few = f"{apart:.3g} points from one reversal to the next"
-    elif motion is not None:
-        per_half = n / motion.n_half
-        spread = step_spread(recording.time_s)
+    elif motion is None:
+        return
+    else:
+        per_half, spread = n / motion.n_half, step_spread(recording.time_s)
         gaps = (np.count_nonzero(recording.restarts) - 1) / motion.n_half
         along = motion.direction[motion.half_cycle] * push
         with_it = np.concatenate([np.maximum.accumulate(part) for part in np.split(along, motion.start[1:-1])])
-        against = float(
-            np.mean((along < -0.5) & (with_it > 0.5))
-        )  # of the samples, after the force was with the motion
+        against = float(np.mean((along < -0.5) & (with_it > 0.5)))  # share after the force was with the motion
         if per_half < limits.FEW_UNSEEN and against > limits.FEW_AGAINST:
             few = f"{per_half:.3g} points in a half-cycle, and the force turns round where no reversal is found"
         elif per_half < limits.FEW_UNEVEN and spread > 1.0:
             few = f"{per_half:.3g} points in a half-cycle, at times whose steps vary by {spread:.0%}"
         elif per_half < limits.FEW_GAPS and gaps > 0.5:
             few = f"{per_half:.3g} points in a half-cycle, with {gaps:.2g} gaps in time"
-    if few is None:
-        return []
+        else:
+            return
     message = (
         f"{few}: too few to tell K and beta; give the rows as they were recorded, or of a figure at least "
         f"{limits.FEW_UNEVEN} points in each half-cycle, at even steps of time"
     )
-    return [Finding("few-points", "unusable", message, n)]
+    yield Finding("few-points", "unusable", message, n)
 
 
-def _offsets(recording: Recording, motion: Motion) -> list[Finding]:
-    """Force offset between the two plateaus, and displacement offset of the middle of the stroke."""
-    findings = []
+def _offsets(recording: Recording, motion: Motion) -> Iterator[Finding]:
+    """Displacement off the middle of the stroke, force off the middle of its plateaus or not zero in a rest before."""
+    x, f = motion.displacement_mm, recording.force_kN
     low, high = float(np.min(motion.turning_mm)), float(np.max(motion.turning_mm))
     centre, half_stroke = 0.5 * (high + low), 0.5 * (high - low)
     if half_stroke <= 0:
-        return []
-    # Strokes that start from one end are no offset.
-    if limits.CENTRE_SHARE * half_stroke < abs(centre) < 0.5 * half_stroke:
-        message = (
-            f"the middle of the stroke is at {centre:+.3g} mm, {abs(centre) / half_stroke:.0%} of the amplitude; "
-            f"kept as it is"
-        )
-        findings.append(Finding("displacement-offset", "note", message))
-    push, pull = _plateau(recording, motion, 1), _plateau(recording, motion, -1)
-    if push is None or pull is None:
-        return findings
-    offset, half = 0.5 * (push + pull), 0.5 * abs(push - pull)
+        return
+    if limits.CENTRE_SHARE * half_stroke < abs(centre) < 0.5 * half_stroke:  # strokes from one end are no offset
+        share = abs(centre) / half_stroke
+        message = f"the middle of the stroke is at {centre:+.3g} mm, {share:.0%} of the amplitude; kept as it is"
+        yield Finding("displacement-offset", "note", message)
+    # The second half of each stroke: the first may be slack or elastic.
+    from_turn = np.abs(x - x[motion.start[:-1]][motion.half_cycle])
+    ranges = [float(np.ptp(part)) for part in np.split(x, motion.start[1:-1])]
+    late = from_turn > 0.5 * np.array(ranges)[motion.half_cycle]
+    sides = [f[late & (motion.direction[motion.half_cycle] == way)] for way in (1, -1)]
+    if not all(side.size for side in sides):
+        return
+    push, pull = (float(np.median(side)) for side in sides)
+    offset, half, (unit, scale) = 0.5 * (push + pull), 0.5 * abs(push - pull), unit_of(f)
     if abs(offset) > limits.OFFSET_SHARE * half:
-        unit, n = unit_of(recording.force_kN)
         message = (
-            f"the force is {push * n:.4g} {unit} pushing and {pull * n:.4g} {unit} pulling, {offset * n:+.3g} {unit} "
-            f"off centre; kept as it is: a load cell that was not zeroed, or a device that differs in push and pull"
+            f"the force is {push * scale:.4g} {unit} pushing and {pull * scale:.4g} {unit} pulling, "
+            f"{offset * scale:+.3g} {unit} off centre; kept as it is: a load cell that was not zeroed, or a device "
+            "that differs in push and pull"
         )
-        findings.append(Finding("force-offset", "note", message))
-    return findings + _rest(recording, motion, half)
-
-
-def _plateau(recording: Recording, motion: Motion, direction: int) -> float | None:
-    """Median force over the second half of the strokes in one direction; the first half may be slack or elastic."""
-    late = []
-    for k in np.flatnonzero(motion.direction == direction):
-        rows = slice(int(motion.start[k]), int(motion.start[k + 1]))
-        x = motion.displacement_mm[rows]
-        late.append(recording.force_kN[rows][np.abs(x - x[0]) > 0.5 * float(np.ptp(x))])
-    values = np.concatenate(late) if late else np.zeros(0)
-    return float(np.median(values)) if values.size else None
-
-
-def _rest(recording: Recording, motion: Motion, half: float) -> list[Finding]:
-    """Force before the first movement, when the recording begins at rest."""
-    x = motion.displacement_mm
-    still = np.abs(x - x[0]) < max(5 * motion.noise_mm, 1e-3 * float(np.ptp(x)))
+        yield Finding("force-offset", "note", message)
+    extent = float(np.ptp(x))
+    still = np.abs(x - x[0]) < max(5 * motion.noise_mm, 1e-3 * extent)
     n = int(np.argmin(still)) if not still.all() else 0
     # Coarse sampling makes motion look like noise, and then everything seems to be at rest.
-    if n < limits.REST_SAMPLES or motion.noise_mm > 0.01 * float(np.ptp(x)):
-        return []
-    force = float(np.median(recording.force_kN[:n]))
-    if abs(force) <= limits.OFFSET_SHARE * half:
-        return []
-    unit, factor = unit_of(recording.force_kN)
-    at_rest = f"{force * factor:+.3g} {unit} ({n} samples)"
-    message = f"force at rest before the first movement is {at_rest}, not zero; kept as it is"
-    return [Finding("rest-offset", "note", message, n)]
+    if n < limits.REST_SAMPLES or motion.noise_mm > 0.01 * extent:
+        return
+    if abs(force := float(np.median(f[:n]))) > limits.OFFSET_SHARE * half:
+        at_rest = f"{force * scale:+.3g} {unit} ({n} samples)"
+        message = f"force at rest before the first movement is {at_rest}, not zero; kept as it is"
+        yield Finding("rest-offset", "note", message, n)
 
 
-def _lag(recording: Recording, motion: Motion) -> list[Finding]:
-    """Delay of the force after the displacement, where the unloading branches show one."""
-    lag = lag_of(recording, motion)
-    step = 1.0 / recording.rate_Hz
-    if lag is None or abs(lag) < limits.LAG_STEPS * step:
-        return []
+def _lag(recording: Recording, motion: Motion) -> Iterator[Finding]:
+    """Delay for which the force drop after reversals is proportional to the travel, where these tell one."""
+    time_s, step = recording.time_s, 1.0 / recording.rate_Hz
+    pieces = _unloading(recording, motion)
+    if len(pieces) < 4:
+        return
+    shortest = float(np.min(np.diff(time_s[np.minimum(motion.start, recording.n_samples - 1)])[1:-1]))
+    lags = np.linspace(-0.1, 0.3, 81) * shortest
+    wrong, last = np.zeros(lags.size), motion.n_half - 1
+    for k, times, drop in pieces:
+        # The lags are shorter than a half-cycle; np.interp takes its time over a whole long recording.
+        near = slice(int(motion.start[k - 1]), int(motion.start[min(k + 1, last) + 1]))
+        for i, lag in enumerate(lags):
+            place = np.interp(times - lag, time_s[near], motion.displacement_mm[near])
+            travel = np.maximum(motion.direction[k] * (place - motion.turning_mm[k]), 0.0)
+            slope = float(travel @ drop) / max(float(travel @ travel), 1e-300)  # one stiffness for each reversal
+            wrong[i] += float(np.sum((drop - slope * travel) ** 2))
+    misfit = wrong / sum(float(np.sum(drop**2)) for *_, drop in pieces)
+    best, none = int(np.argmin(misfit)), int(np.argmin(np.abs(lags)))
+    lag = float(lags[best])
+    # Where the force falls before the turn there are other reasons than a late sensor, so more is asked for.
+    better = 0.5 if lag > 0 else 0.15
+    told = 0 < best < lags.size - 1 and misfit[best] <= 0.02 and misfit[best] <= better * misfit[none]
+    if not told or abs(lag) < limits.LAG_STEPS * step:
+        return
     size = f"by about {1e3 * abs(lag):.3g} ms ({abs(lag) / step:.1f} samples)"
     if lag > 0:
         message = f"the force lags the displacement {size}, judged from the unloading; nothing is shifted"
-        return [Finding("lag", "warning", message)]
-    message = (
-        f"the force falls {size} before the displacement turns, as with a filtered displacement or a viscous device; "
-        f"nothing is shifted"
-    )
-    return [Finding("lag", "note", message)]
-
-
-def lag_of(recording: Recording, motion: Motion) -> float | None:
-    """Delay, s, for which the force drop after reversals is proportional to the travel; None where it cannot be told.
-
-    Positive when the force is late.
-    """
-    pieces = _unloading(recording, motion)
-    if len(pieces) < 4:
-        return None
-    shortest = float(np.min(np.diff(recording.time_s[np.minimum(motion.start, recording.n_samples - 1)])[1:-1]))
-    lags = np.linspace(-0.1, 0.3, 81) * shortest
-    misfit = np.array([_misfit(pieces, recording.time_s, motion, lag) for lag in lags])
-    best = int(np.argmin(misfit))
-    none = int(np.argmin(np.abs(lags)))
-    # Where the force falls before the turn there are other reasons than a late sensor, so more is asked for.
-    better = 0.5 if lags[best] > 0 else 0.15
-    if best in (0, lags.size - 1) or misfit[best] > 0.02 or misfit[best] > better * misfit[none]:
-        return None
-    return float(lags[best])
+    else:
+        message = (
+            f"the force falls {size} before the displacement turns, as with a filtered displacement or a viscous "
+            "device; nothing is shifted"
+        )
+    yield Finding("lag", "warning" if lag > 0 else "note", message)
 
 
 def _unloading(recording: Recording, motion: Motion) -> list[tuple[int, FloatArray, FloatArray]]:
-    """For each reversal: its half-cycle, and times and relative force drops between 5 and 60 % of the plateau.
+    """Half-cycle, times and relative force drops between 5 and 60 % of the plateau, after each reversal.
 
     Of samples that are evidence: a plateau at which the load cell is clipped, or a reading that is repeated, would seem
     to be late.
     """
-    used, pieces = np.asarray(recording.used), []
+    used, force, pieces = np.asarray(recording.used), recording.force_kN, []
     for k in range(1, motion.n_half):
-        a, b, before = int(motion.start[k]), int(motion.start[k + 1]), int(motion.start[k - 1])
+        before, a, b = motion.start[k - 1 : k + 2].tolist()
         first = max(before, a - max(3, (a - before) // 20))
         tail = np.flatnonzero(used[first:a]) + first
-        top = float(np.median(recording.force_kN[tail])) * -motion.direction[k] if tail.size else 0.0
+        top = float(np.median(force[tail])) * -motion.direction[k] if tail.size else 0.0
         if top <= 0:
             continue
         rows = np.flatnonzero(used[a:b]) + a
-        drop = 1.0 - recording.force_kN[rows] * -motion.direction[k] / top
+        drop = 1.0 - force[rows] * -motion.direction[k] / top
         end = int(np.argmax(drop > 0.6)) if np.any(drop > 0.6) else 0
         within = np.flatnonzero(drop[:end] > 0.05)
         within = within[:: max(1, within.size // 100)]
@@ -449,37 +383,21 @@ def _unloading(recording: Recording, motion: Motion) -> list[tuple[int, FloatArr
     return pieces
 
 
-def _misfit(pieces: list[tuple[int, FloatArray, FloatArray]], time_s: FloatArray, motion: Motion, lag: float) -> float:
-    """Share of the drops that is not proportional to the travel a lag earlier, with one stiffness per reversal."""
-    wrong = total = 0.0
-    last = motion.n_half - 1
-    for k, times, drop in pieces:
-        # The lags are shorter than a half-cycle; np.interp takes its time over a whole long recording.
-        near = slice(int(motion.start[k - 1]), int(motion.start[min(k + 1, last) + 1]))
-        place = np.interp(times - lag, time_s[near], motion.displacement_mm[near])
-        travel = motion.direction[k] * (place - motion.turning_mm[k])
-        travel = np.maximum(travel, 0.0)
-        slope = float(travel @ drop) / max(float(travel @ travel), 1e-300)
-        wrong += float(np.sum((drop - slope * travel) ** 2))
-        total += float(np.sum(drop**2))
-    return wrong / total if total > 0 else 1.0
-
-
-def resampled_findings(recording: Recording, n_half: int) -> list[Finding]:
+def _resampled(recording: Recording, n_half: int) -> Iterator[Finding]:
     """Say which channels of a recording of so many half-cycles were interpolated, from what, and what to do."""
-    fewest = max(limits.BENDS, limits.BENDS_PER_HALF_CYCLE * n_half)
+    fewest, rate = max(limits.BENDS, limits.BENDS_PER_HALF_CYCLE * n_half), recording.rate_Hz
     channels = {"displacement": recording.displacement_mm, "force": recording.force_kN}
     found = {name: one for name, values in channels.items() if (one := resampled(recording, values, fewest))}
     if not found:
-        return []
-    (period, share), rate = list(found.values())[-1], recording.rate_Hz
+        return
+    period, share = list(found.values())[-1]
     message = (
         f"{' and '.join(found)}: {share:.0%} of the samples lie on straight lines, which bend at every "
         f"{period:.3g}th sample: recorded at about {rate / period:.3g} Hz and interpolated to {rate:.4g} Hz, "
         f"{period:.3g} times as many. Interpolated samples are no evidence, and intervals would come out too "
         f"narrow; give the file as it was recorded, or every {round(period)}th row of this one"
     )
-    return [Finding("resampled", "warning", message)]
+    yield Finding("resampled", "warning", message)
 
 
 def resampled(recording: Recording, values: FloatArray, fewest: int) -> tuple[float, float] | None:
@@ -492,10 +410,23 @@ def resampled(recording: Recording, values: FloatArray, fewest: int) -> tuple[fl
     the same direction, and always so many samples apart. Noise bends everywhere. Counts of a converter bend to and
     fro, and by no more than a count or two, which is straight here.
     """
-    bend = _bends(recording, values)
-    bent = np.abs(bend) > _straight(values)
-    first = np.flatnonzero(bent & ~np.concatenate([[False], bent[:-1]]))
-    last = np.flatnonzero(bent & ~np.concatenate([bent[1:], [False]]))
+    # Twice the distance from the line between the neighbours; 0 at the ends and beside gaps. Clocks that are printed
+    # with few digits misplace samples, so that of lines over time and over the row counts the one that is nearer.
+    t, bend = recording.time_s, np.zeros(values.size)
+    before, after = values[1:-1] - values[:-2], values[2:] - values[1:-1]
+    weight = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
+    by_row, by_time = after - before, 2.0 * (weight * after - (1.0 - weight) * before)
+    bend[1:-1] = np.where(np.abs(by_row) < np.abs(by_time), by_row, by_time)
+    late = np.flatnonzero(recording.restarts[1:]) + 1
+    bend[late] = bend[late - 1] = 0.0
+    # What rounding can explain is straight: the smallest distance of two of the larger values, since numbers printed
+    # with so many digits are rounded by ten times as much on one side of a power of ten.
+    size = np.abs(values[:: max(1, values.size // limits.SKETCH_SAMPLES)])
+    steps, fuzz = np.diff(np.unique(size[size >= np.median(size)])), 1e-9 * float(np.ptp(values))
+    straight = limits.BEND_COUNTS * (float(np.min(steps[steps > fuzz])) if np.any(steps > fuzz) else fuzz)
+    bent = np.abs(bend) > straight
+    first = np.flatnonzero(bent & ~np.append(False, bent[:-1]))
+    last = np.flatnonzero(bent & ~np.append(bent[1:], False))
     if first.size < fewest:
         return None
     sharp = (last - first <= 1) & (bend[first] * bend[last] > 0)
@@ -512,58 +443,26 @@ def resampled(recording: Recording, values: FloatArray, fewest: int) -> tuple[fl
     return (period, float(np.mean(~bent[1:-1]))) if enough and most and period > limits.BEND_PERIOD else None
 
 
-def _bends(recording: Recording, values: FloatArray) -> FloatArray:
-    """Twice the distance of each sample from the line between its neighbours; 0 at the ends and beside gaps in time.
-
-    Clocks that are printed with few digits misplace samples, so that of lines over time and over the row counts the
-    one that is nearer.
-    """
-    t, out = recording.time_s, np.zeros(values.size)
-    before, after = values[1:-1] - values[:-2], values[2:] - values[1:-1]
-    weight = (t[1:-1] - t[:-2]) / (t[2:] - t[:-2])
-    by_row, by_time = after - before, 2.0 * (weight * after - (1.0 - weight) * before)
-    out[1:-1] = np.where(np.abs(by_row) < np.abs(by_time), by_row, by_time)
-    late = np.flatnonzero(recording.restarts[1:]) + 1
-    out[late] = out[late - 1] = 0.0
-    return out
-
-
-def _straight(values: FloatArray) -> float:
-    """Largest bend that rounding can explain.
-
-    The resolution is the smallest distance of two of the larger values: numbers printed with so many digits are
-    rounded most where they are large, by ten times as much on one side of a power of ten.
-    """
-    size = np.abs(values[:: max(1, values.size // limits.SKETCH_SAMPLES)])
-    levels = np.unique(size[size >= np.median(size)])
-    steps, fuzz = np.diff(levels), 1e-9 * float(np.ptp(values))
-    steps = steps[steps > fuzz]
-    return limits.BEND_COUNTS * max(float(np.min(steps)) if steps.size else 0.0, fuzz)
-
-
 _OTHERS: dict[Role, tuple[str, ...]] = {"displacement": ("m", "cm", "in"), "force": ("N", "MN"), "time": ("ms", "min")}
 
 
 def plausibility_findings(
     channels: RawChannels, time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Sizes that are unusual in a unit that was assumed, and columns that look like one another's.
 
     No check can find a wrong unit that gives a usual size: refused is only what nobody said, warned of what the file
-    alone says, and an option that says it settles the matter.
-
-    The channels say which units were assumed and which columns were named; the arrays, of shape (n_samples,), are those
-    after the repairs.
+    alone says, and an option that says it settles the matter. The channels say which units were assumed and which
+    columns were named; the arrays, of shape (n_samples,), are those after the repairs.
     """
     stroke, force = float(np.ptp(displacement_mm)), float(np.max(np.abs(force_kN)))
     duration = float(time_s[-1] - time_s[0])
-    speed = float(np.sum(np.abs(changes(displacement_mm)))) / max(duration, 1e-300)
+    speed = float(np.sum(np.abs(_changes(displacement_mm)))) / max(duration, 1e-300)
     measures: tuple[tuple[Role, float, str, tuple[float, float], str], ...] = (
         ("displacement", stroke, "a stroke of {:.3g} mm", limits.ASSUMED_STROKE_MM, "mm"),
         ("force", force, "a force of up to {:.3g} kN", limits.ASSUMED_FORCE_KN, "kN"),
         ("time", speed, "a mean speed of {:.3g} mm/s", limits.ASSUMED_SPEED_MM_S, "mm/s"),
     )
-    findings = []
     for role, value, words, (low, high), unit in measures:
         read, power = channels.units[role], -1 if role == "time" else 1  # a speed is the smaller, the longer its time
         own = value / factor(read, role) ** power
@@ -575,37 +474,28 @@ def plausibility_findings(
         )
         if role in channels.assumed and not low <= value <= high:
             message = f"nobody stated the unit of the {role}, and {words.format(value)} is unusual in {read} {more}"
-            findings.append(Finding("unit-unlikely", "unusable", message))
+            yield Finding("unit-unlikely", "unusable", message)
         elif role in channels.told and (value > high or (role != "time" and value < low)):
             message = f"the file says {read} for the {role}, and {words.format(value)} is unusual {more}"
-            findings.append(Finding("unit-unusual", "warning", message))
+            yield Finding("unit-unusual", "warning", message)
     if "time" not in channels.assumed and speed < limits.ASSUMED_SPEED_MM_S[0] and duration > limits.LONG_TEST_S:
         message = (
             f"the test lasts {duration / 3600:.3g} h at a mean speed of {speed:.2g} mm/s; if the times are "
             "milliseconds, give --units time=ms"
         )
-        findings.append(Finding("time-long", "warning", message))
-    return findings + _swapped(channels, displacement_mm, force_kN)
-
-
-def _swapped(channels: RawChannels, displacement_mm: FloatArray, force_kN: FloatArray) -> list[Finding]:
-    """Say so when the displacement jumps, or is as rough, as a friction force and the force is smooth as a driven one.
-
-    Of 26 public recordings of friction and yielding devices none comes near both limits, nor does white noise on
-    the force, which is rough, or a displacement applied in steps, of which the force has the steps as well.
-    """
-    ratio = burstiness(displacement_mm) / max(burstiness(force_kN), 1e-300)
-    smooth = roughness(force_kN)
-    rough = roughness(displacement_mm) / max(smooth, 1e-300)
-    if smooth > limits.SWAPPED_ROUGHNESS or (ratio < limits.SWAPPED_BURSTS and rough < limits.SWAPPED_SMOOTH):
-        return []
-    message = (
-        f"displacement and force seem swapped: the displacement jumps like a friction force ({ratio:.1f} times as "
-        f"bursty and {rough:.1f} times as rough as the force; below {limits.SWAPPED_BURSTS:g} and "
-        f"{limits.SWAPPED_SMOOTH:g} is usual) and the force runs as smoothly as a driven displacement"
-    )
-    told = {"displacement", "force"} <= channels.named
-    return [Finding("swapped-columns", "warning" if told else "unusable", message)]
+        yield Finding("time-long", "warning", message)
+    # Of 26 public recordings of friction and yielding devices none comes near both limits, nor does white noise on the
+    # force, which is rough, or a displacement applied in steps, of which the force has the steps as well.
+    of_force = _shape(force_kN)
+    bursts, rough = (_shape(displacement_mm) / np.maximum(of_force, 1e-300)).tolist()
+    if of_force[1] <= limits.SWAPPED_ROUGHNESS and (bursts >= limits.SWAPPED_BURSTS or rough >= limits.SWAPPED_SMOOTH):
+        message = (
+            f"displacement and force seem swapped: the displacement jumps like a friction force ({bursts:.1f} times as "
+            f"bursty and {rough:.1f} times as rough as the force; below {limits.SWAPPED_BURSTS:g} and "
+            f"{limits.SWAPPED_SMOOTH:g} is usual) and the force runs as smoothly as a driven displacement"
+        )
+        told = {"displacement", "force"} <= channels.named
+        yield Finding("swapped-columns", "warning" if told else "unusable", message)
 
 
 def with_exchange(finding: Finding, channels: RawChannels) -> Finding:

@@ -1,5 +1,6 @@
 """Single samples of a channel: empty cells, held readings, spikes, clipping, standing still."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,9 +22,9 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def complete_rows(channels: tuple[FloatArray, FloatArray]) -> tuple[BoolArray, list[Finding]]:
+def complete_rows(x: FloatArray, f: FloatArray, findings: list[Finding]) -> BoolArray:
     """Rows of displacement and force (NaN where empty) to keep: without empty ends, and holes too long to be filled."""
-    empty = np.isnan(channels[0]) | np.isnan(channels[1])
+    empty = np.isnan(x) | np.isnan(f)
     keep = np.ones(empty.size, dtype=np.bool_)
     ends = holes = 0
     for a, b in runs(empty):
@@ -31,39 +32,47 @@ def complete_rows(channels: tuple[FloatArray, FloatArray]) -> tuple[BoolArray, l
             keep[a:b], ends = False, ends + b - a
         elif b - a > limits.FILL_RUN:
             keep[a:b], holes = False, holes + b - a
-    findings = []
     if ends:
         findings.append(Finding("empty-ends", "repaired", f"{ends} rows without numbers at the ends left out", ends))
     if holes:
         message = f"{holes} rows left out, in holes of more than {limits.FILL_RUN} rows; each hole is now a gap in time"
         findings.append(Finding("holes", "warning", message, holes))
-    return keep, findings
+    return keep
 
 
 def fill(
-    time_s: FloatArray, values: FloatArray, name: str, no_reading: BoolArray
-) -> tuple[FloatArray, BoolArray, list[Finding]]:
+    time_s: FloatArray, values: FloatArray, name: str, no_reading: BoolArray, findings: list[Finding]
+) -> tuple[FloatArray, BoolArray]:
     """Bridge short runs of cells without a reading (NaN) of a channel by a straight line.
 
-    `no_reading` are those among them that held a number, which has been said. Values without NaN, which samples are no
-    evidence, all of shape (n_samples,), and findings.
+    `no_reading` are those among them that held a number, which has been said. Values without NaN, and which samples are
+    no evidence, all of shape (n_samples,).
     """
     filled = np.isnan(values)
     count, empty = int(np.count_nonzero(filled)), int(np.count_nonzero(filled & ~no_reading))
     if count in (0, values.size):
-        return values, filled, []
-    bridged = np.where(filled, np.interp(time_s, time_s[~filled], values[~filled]), values)
-    share = count / values.size
-    if share > limits.BAD_CELL_SHARE:
+        return values, filled
+    if count > limits.BAD_CELL_SHARE * values.size:
         message = (
-            f"{name}: {count} cells are empty or no readings ({share:.2%}); allowed are {limits.BAD_CELL_SHARE:.0%}; "
-            "export the test anew, or take these rows out of the file (steps of time may differ)"
+            f"{name}: {count} cells are empty or no readings ({count / values.size:.2%}); allowed are "
+            f"{limits.BAD_CELL_SHARE:.0%}; export the test anew, or take these rows out of the file (steps of time may "
+            "differ)"
         )
-        return bridged, filled, [Finding("empty-cells", "unusable", message, count)]
-    message = (
-        f"{name}: {empty} empty cells ({empty / values.size:.2%}) bridged by straight lines and not used as evidence"
-    )
-    return bridged, filled, [Finding("empty-cells", "repaired", message, empty)] if empty else []
+        findings.append(Finding("empty-cells", "unusable", message, count))
+    elif empty:
+        share = f"{name}: {empty} empty cells ({empty / values.size:.2%})"
+        message = f"{share} bridged by straight lines and not used as evidence"
+        findings.append(Finding("empty-cells", "repaired", message, empty))
+    return np.where(filled, np.interp(time_s, time_s[~filled], values[~filled]), values), filled
+
+
+def _equal(values: FloatArray) -> list[tuple[int, int]]:
+    """Half-open ranges of rows that hold one value, long enough not to be chance."""
+    return [(a, b + 1) for a, b in runs(np.diff(values) == 0.0) if b + 1 - a >= limits.CLIP_RUN]
+
+
+def _length(ranges: Iterable[tuple[int, int]]) -> int:
+    return sum(b - a for a, b in ranges)
 
 
 def clipped(values: FloatArray, other: FloatArray) -> BoolArray:
@@ -76,12 +85,12 @@ def clipped(values: FloatArray, other: FloatArray) -> BoolArray:
     extent, motion = float(np.ptp(values)), float(np.ptp(other))
     if extent <= 0.0 or motion <= 0.0:
         return found
-    equal = [(a, b + 1) for a, b in runs(np.diff(values) == 0.0) if b + 1 - a >= limits.CLIP_RUN]
-    for level in (float(values.min()), float(values.max())):
+    equal, extremes = _equal(values), (float(values.min()), float(values.max()))
+    elsewhere = _length((a, b) for a, b in equal if values[a] not in extremes)
+    for level in extremes:
         at = [(a, b) for a, b in equal if values[a] == level]
-        there, elsewhere = sum(b - a for a, b in at), sum(b - a for a, b in equal) - sum(b - a for a, b in at)
-        opposite = sum(b - a for a, b in equal if values[a] in (values.min(), values.max()) and values[a] != level)
-        if there < max(2 * limits.CLIP_RUN, limits.CLIP_SHARE * values.size) or elsewhere - opposite > 0.2 * there:
+        there = _length(at)
+        if there < max(2 * limits.CLIP_RUN, limits.CLIP_SHARE * values.size) or elsewhere > 0.2 * there:
             continue
         entry = [abs(values[a] - values[a - 1]) / extent for a, _ in at if a > 0]
         moved = sum(float(np.ptp(other[a:b])) for a, b in at) / len(at)
@@ -97,20 +106,14 @@ def stopped(force_kN: FloatArray, displacement_mm: FloatArray) -> BoolArray:
     shape (n_samples,).
     """
     found = np.zeros(force_kN.size, dtype=np.bool_)
-    extremes, motion = (force_kN.min(), force_kN.max()), float(np.ptp(displacement_mm))
-    equal = [(a, b + 1) for a, b in runs(np.diff(force_kN) == 0.0) if b + 1 - a >= limits.CLIP_RUN]
-    long = [
-        (a, b)
-        for a, b in equal
-        if b - a >= limits.STOPPED_RUN
-        and force_kN[a] not in extremes
-        and float(np.ptp(displacement_mm[a:b])) > limits.CLIP_MOTION * motion
-    ]
+    extremes, least = (force_kN.min(), force_kN.max()), limits.CLIP_MOTION * float(np.ptp(displacement_mm))
+    equal = _equal(force_kN)
+    long = [(a, b) for a, b in equal if b - a >= limits.STOPPED_RUN and force_kN[a] not in extremes]
+    long = [(a, b) for a, b in long if float(np.ptp(displacement_mm[a:b])) > least]
     # A rounded channel, and a plateau without noise, repeat values in every half-cycle.
-    if sum(b - a for a, b in equal) > 1.2 * sum(b - a for a, b in long) or len(long) > limits.STOPS:
-        return found
-    for a, b in long:
-        found[a:b] = True
+    if _length(equal) <= 1.2 * _length(long) and len(long) <= limits.STOPS:
+        for a, b in long:
+            found[a:b] = True
     return found
 
 
@@ -144,43 +147,28 @@ def held(values: FloatArray) -> HeldReadings | None:
     new = values[known[rows]]
     rows = rows[np.append([True, True], new[2:] != new[:-2])[: rows.size]]  # after a dropout the old reading comes back
     count = resolution_of(values[known])
-    period = next((p for kind in limits.HELD if (p := _period(rows, step[rows], count, *kind))), None)
-    if period is None:
+    for least, share, shortest in limits.HELD:
+        moves = step[rows] > least * count
+        gaps = np.diff(rows)[moves[1:] & moves[:-1]]
+        if gaps.size < limits.BENDS:
+            continue
+        even = gaps <= 2 * np.median(gaps) + 1
+        period = float(np.mean(gaps[even]))
+        alike = np.mean(even) >= limits.BENDS_AGREE and np.sum(gaps[even]) > share * rows[-1]
+        if alike and shortest <= period <= limits.HELD_MOST:
+            break
+    else:
         return None
     fresh = np.zeros(values.size, dtype=np.bool_)
     fresh[known[rows]] = True
-    return HeldReadings(period, fresh, _ages(rows.astype(np.float64), period))
-
-
-def _period(
-    rows: IntArray, steps: FloatArray, count: float, least: float, share: float, shortest: float
-) -> float | None:
-    """Rows from one reading to the next, where both differ by so many counts from those before; None if unlike.
-
-    In at least a `share` of all rows, and at least the `shortest`.
-    """
-    moves = steps > least * count
-    gaps = np.diff(rows)[moves[1:] & moves[:-1]]
-    if gaps.size < limits.BENDS:
-        return None
-    even = gaps <= 2 * np.median(gaps) + 1
-    period = float(np.mean(gaps[even]))
-    alike = np.mean(even) >= limits.BENDS_AGREE and np.sum(gaps[even]) > share * rows[-1]
-    return period if alike and shortest <= period <= limits.HELD_MOST else None
-
-
-def _ages(rows: FloatArray, period: float) -> FloatArray:
-    """Age of each reading in the row that holds it first, rows, where the channel has an even clock of its own; else 0.
-
-    A reading is written in the first row after it was taken, so that one line of even moments has all rows less than
-    one row behind it; the youngest was taken as its row was written.
-    """
+    # A channel with an even clock of its own writes a reading in the first row after it was taken, so that one line of
+    # even moments has all rows less than one row behind it; the youngest was taken as its row was written.
     gaps = np.diff(rows)
     number = np.append(0.0, np.cumsum(np.where(gaps <= np.ceil(period), 1.0, np.round(gaps / period))))
     late = rows - np.polyval(np.polyfit(number, rows, 1), number)
     late -= np.percentile(late, 1)
-    even = np.mean(late < 1.05) > 0.99
-    return np.where((late > 0.02) & (late < 1.0), late, 0.0) if even else np.zeros(rows.size)
+    aged = (late > 0.02) & (late < 1.0) & bool(np.mean(late < 1.05) > 0.99)
+    return HeldReadings(period, fresh, np.where(aged, late, 0.0))
 
 
 def not_readings(
@@ -211,27 +199,29 @@ def not_readings(
         off_x, jumps = _off_course(course, pull)
         off_f, _ = pull.excursions(~_turning(x, off_x, course.limit))
         bad |= [off_x, off_f]
-        for k, values in enumerate(channels):
-            bad[k] |= _same_value(values, bad[k])
+        for values, wrong in zip(channels, bad, strict=True):  # a dropout to 0 as 0 was passed
+            common, count = np.unique(values[wrong], return_counts=True)
+            for level in common[count > 1].tolist():
+                same = values == level
+                if np.count_nonzero(same & ~wrong) <= np.count_nonzero(same & wrong):
+                    wrong[same] = True
         if np.count_nonzero(bad) == before:
             break
     return bad[0], bad[1], jumps
 
 
 class _Course:
-    """Changes of a channel from row to row, apart from its own course."""
+    """Changes of a channel, shape (n_rows,), from row to row, apart from its own course."""
 
     def __init__(self, time_s: FloatArray, values: FloatArray, share: float, *, still: bool = False) -> None:
-        """Look at a channel, shape (n_rows,), of which less than a share of the range is let pass.
-
-        The displacement moves on while it is not read; a force, which is `still`, has to come back for itself.
-        """
+        """Let less than a `share` of the range pass; a force, which is `still`, has to come back for itself."""
         self.values, self.still, step = values, still, np.diff(values)
         lasted = np.diff(time_s) / np.median(np.diff(time_s))
         self.apart = lasted > limits.GAP_STEPS
         step[self.apart] = 0.0
+        # The displacement moves on while it is not read.
         self.trend = np.zeros(step.size) if still else _median_of_7(step)
-        self.base = values - np.concatenate([[0.0], np.cumsum(self.trend)])  # the course taken off
+        self.base = values - np.append(0.0, np.cumsum(self.trend))  # the course taken off
         # Clocks that are printed with few digits misplace samples: of changes by row and by time the less unusual one.
         by_row, by_time = _outside(step), _outside(step / np.maximum(lasted, 0.5))
         self.excess = np.where(np.abs(by_row) < np.abs(by_time), by_row, by_time)
@@ -255,52 +245,33 @@ class _Course:
         step[self.big] = self.trend[self.big]
         return float(np.ptp(np.cumsum(step))) > 0.5 * self.core > 0.0
 
-    def excluded(self) -> list[int]:
-        """Find the changes that are many times as large as nearly all others where the channel moves."""
-        size = np.abs(np.diff(self.values))
-        moving = size[size > max(3.0 * self.noise, 1e-3 * self.core)]
-        if moving.size < limits.MIN_SAMPLES:
-            return []
-        least = max(limits.JUMP_SPEED * float(np.percentile(moving, 95)), limits.JUMP_RANGE * self.core)
-        return [int(k) for k in np.flatnonzero((size > least) & ~self.apart)]
-
-    def is_lone(self, k: int) -> bool:
-        """Whether a change is a jump beyond doubt, with an ordinary course before and after it."""
-        beside = self.excess[[max(k - 2, 0), k - 1, *np.minimum([k + 1, k + 2], self.excess.size - 1)]]
-        return bool(abs(self.excess[k]) > limits.JUMP * self.least[k] and np.abs(beside).max() <= self.least[k])
-
     def excursions(self, plain: BoolArray, leaves: BoolArray | None = None) -> tuple[BoolArray, list[int]]:
         """Find the rows between a jump away and one back, and the jumps that belong to none.
 
         At changes that are `plain`, or where the other channel `leaves` its course too and the rows hold one value. The
         shortest ones first, so that a jump that is missing does not exchange what is on and off the course.
         """
-        off, big, base = np.zeros(self.values.size, dtype=np.bool_), self.big, self.base
+        off, big, base, size = np.zeros(self.values.size, dtype=np.bool_), self.big, self.base, np.abs(self.excess)
         pairs = []
         for further in range(1, limits.FILL_RUN + 1):
             first, last = big[:-further], big[further:]
-            jump = np.minimum(np.abs(self.excess[first]), np.abs(self.excess[last]))
-            back = np.abs(base[last + 1] - base[first]) <= np.maximum(self.limit, limits.SPIKE_RETURN * jump)
+            least = np.maximum(self.limit, limits.SPIKE_RETURN * np.minimum(size[first], size[last]))
+            back = np.abs(base[last + 1] - base[first]) <= least
             pairs.append(np.column_stack([first, last])[back & (last - first <= limits.FILL_RUN)])
-        found = np.concatenate(pairs)
-        left = set(big.tolist())
-        calm = np.pad(np.abs(self.excess) <= self.limit, 1, constant_values=True)
-        for first, last in found[np.argsort(found[:, 1] - found[:, 0], kind="stable")].tolist():
-            rows = slice(first + 1, last + 1)
-            if not {first, last} <= left or off[rows].any() or not self._away(first, last):
+        found, left = np.concatenate(pairs), set(big.tolist())
+        calm = np.pad(size <= self.limit, 1, constant_values=True)
+        for a, b in found[np.argsort(found[:, 1] - found[:, 0], kind="stable")].tolist():
+            rows = slice(a + 1, b + 1)
+            # All rows between two changes are off the course: those of a force, which may ring, in full.
+            sides, share = (base[[a, b + 1]], 1.0) if self.still else (base[[a]], 0.5)
+            away = np.min(np.abs(base[rows] - sides[:, None])) > share * self.limit
+            if not {a, b} <= left or off[rows].any() or not away:
                 continue
-            left -= set(big[np.searchsorted(big, first) : np.searchsorted(big, last) + 1].tolist())
-            dead = leaves is not None and leaves[first] and leaves[last] and np.ptp(self.values[rows]) == 0.0
+            left -= set(big[np.searchsorted(big, a) : np.searchsorted(big, b) + 1].tolist())
+            dead = leaves is not None and leaves[a] and leaves[b] and np.ptp(self.values[rows]) == 0.0
             # A course that goes to and fro on both sides rings.
-            off[rows] = (plain[first : last + 1].all() or dead) and (calm[first] or calm[last + 2])
+            off[rows] = (plain[a : b + 1].all() or dead) and (calm[a] or calm[b + 2])
         return off, sorted(left)
-
-    def _away(self, first: int, last: int) -> bool:
-        """Whether all rows between two changes are off the course: those of a force, which may ring, in full."""
-        between = self.base[first + 1 : last + 1]
-        if not self.still:
-            return bool(np.all(np.abs(between - self.base[first]) > 0.5 * self.limit))
-        return bool(np.min(np.abs(between - self.base[[first, last + 1]][:, None])) > self.limit)
 
 
 def _off_course(course: _Course, pull: _Course) -> tuple[BoolArray, list[int]]:
@@ -309,15 +280,22 @@ def _off_course(course: _Course, pull: _Course) -> tuple[BoolArray, list[int]]:
     leaves = np.zeros(goes_on.size, dtype=np.bool_)
     leaves[pull.big] = True
     off, alone = course.excursions(goes_on, leaves)
-    n, lone = off.size, []
+    n, excess, least, gone = off.size, np.abs(course.excess), course.least, set[int]()
     for k in (k for k in alone if goes_on[k]):
         if k < limits.FILL_RUN:  # what is before the first jump, or behind the last, has one jump only
             off[: k + 1] = True
         elif n - 1 - k <= limits.FILL_RUN:
             off[k + 1 :] = True
-        elif course.is_lone(k):
-            lone.append(k)
-    return off, sorted({*lone, *(k for k in course.excluded() if goes_on[k])})
+        # A jump beyond doubt, with an ordinary course before and after it.
+        elif excess[k] > limits.JUMP * least[k] and excess[[k - 2, k - 1, k + 1, k + 2]].max() <= least[k]:
+            gone.add(k)
+    # So are changes that are many times as large as nearly all others where the channel moves.
+    size = np.abs(np.diff(course.values))
+    moving = size[size > max(3.0 * course.noise, 1e-3 * course.core)]
+    if moving.size >= limits.MIN_SAMPLES:
+        most = max(limits.JUMP_SPEED * float(np.percentile(moving, 95)), limits.JUMP_RANGE * course.core)
+        gone |= set(np.flatnonzero((size > most) & ~course.apart & goes_on).tolist())
+    return off, sorted(gone)
 
 
 def _outside(step: FloatArray) -> FloatArray:
@@ -346,9 +324,8 @@ def _near(sizes: FloatArray, percent: float, reach: int, at: IntArray) -> FloatA
     windows, around = sliding_window_view(sizes, 2 * reach + 1), np.arange(-reach, reach + 1)
     k, out = int((2 * reach + 1) * percent / 100), [np.empty(0)]
     for some in np.array_split(at, -(-at.size // TOGETHER) or 1):
-        inner, place = np.unique(
-            np.clip(some[:, None] + around, reach, sizes.size - 1 - reach) - reach, return_inverse=True
-        )
+        middle = np.clip(some[:, None] + around, reach, sizes.size - 1 - reach) - reach
+        inner, place = np.unique(middle, return_inverse=True)
         found = np.partition(windows[inner], k, axis=1)[:, k]
         out.append(found[place.reshape(-1, around.size)].max(axis=1))
     return np.concatenate(out)
@@ -359,15 +336,15 @@ def _turning(x: FloatArray, off: BoolArray, limit: float) -> BoolArray:
     index, reach = np.arange(x.size), 3
     way = np.pad(np.interp(index, index[~off], x[~off]), reach, mode="edge")
     behind, ahead = way[reach:-reach] - way[: -2 * reach], way[2 * reach :] - way[reach:-reach]
-    least = 0.3 * limit
-    turns = (ahead * behind < 0) & (np.minimum(np.abs(ahead), np.abs(behind)) > least)
+    turns = (ahead * behind < 0) & (np.minimum(np.abs(ahead), np.abs(behind)) > 0.3 * limit)
     return np.asarray(turns[1:] | turns[:-1])
 
 
 def _sentinels(values: FloatArray, share: float, ends: bool) -> BoolArray:
     """Mark a value far outside all others, in runs of any length, and exactly 0, where it is left by a jump back.
 
-    `share` of the range is the least jump; `ends` says whether zeros at an end of the record are left by one jump.
+    `share` of the range is the least jump; `ends` says whether zeros at an end of the record, which have one jump only,
+    count as well.
     """
     bad = np.zeros(values.size, dtype=np.bool_)
     known = np.isfinite(values)
@@ -379,39 +356,19 @@ def _sentinels(values: FloatArray, share: float, ends: bool) -> BoolArray:
     common, count = np.unique(values[far], return_counts=True)
     for level in [*common[np.argsort(-count)][: limits.SENTINELS].tolist(), 0.0]:
         at = np.flatnonzero(known & ~bad)
-        here = values[at] == level
+        left = values[at]
+        here = left == level
         if not 0 < np.count_nonzero(here) <= 0.5 * at.size:
             continue
-        for a, b in _left_by_jumps(values[at], here, share, ends=ends or level != 0.0):
-            bad[at[a:b]] = True
+        touched = here[1:] | here[:-1]
+        usual = 0.0 if touched.all() else 1.5 * float(np.percentile(np.abs(np.diff(left))[~touched], 99))
+        core = float(np.diff(np.percentile(left[~here], [2, 98]))[0])
+        first, last = np.transpose(runs(here))
+        before, after = left[np.maximum(first - 1, 0)], left[np.minimum(last, at.size - 1)]
+        if ends or level != 0.0:
+            before, after = np.where(first == 0, after, before), np.where(last == at.size, before, after)
+        jump = np.minimum(np.abs(before - level), np.abs(after - level))
+        back = np.abs(after - before) <= 0.5 * jump + usual * (last - first)
+        gone = (jump > max(usual, share * core)) & back
+        bad[at[here]] = np.repeat(gone, last - first)
     return bad
-
-
-def _left_by_jumps(values: FloatArray, here: BoolArray, share: float, *, ends: bool) -> list[tuple[int, int]]:
-    """Find the runs of rows that hold a value (`here`) to which the channel jumps, and from which it returns.
-
-    At an end of the record there is one jump only, which counts with `ends`.
-    """
-    touched = here[1:] | here[:-1]
-    usual = 0.0 if touched.all() else 1.5 * float(np.percentile(np.abs(np.diff(values))[~touched], 99))
-    core = float(np.diff(np.percentile(values[~here], [2, 98]))[0])
-    first, last = np.transpose(runs(here))
-    level = values[first[0]]
-    before, after = values[np.maximum(first - 1, 0)], values[np.minimum(last, values.size - 1)]
-    if ends:
-        before, after = np.where(first == 0, after, before), np.where(last == values.size, before, after)
-    jump = np.minimum(np.abs(before - level), np.abs(after - level))
-    back = np.abs(after - before) <= 0.5 * jump + usual * (last - first)
-    gone = (jump > max(usual, share * core)) & back
-    return list(zip(first[gone].tolist(), last[gone].tolist(), strict=True))
-
-
-def _same_value(values: FloatArray, bad: BoolArray) -> BoolArray:
-    """Mark the few other cells of a value that most often is no reading: a dropout to 0 as 0 was passed."""
-    same = np.zeros(values.size, dtype=np.bool_)
-    common, count = np.unique(values[bad], return_counts=True)
-    for level in common[count > 1].tolist():
-        cells = values == level
-        if np.count_nonzero(cells & ~bad) <= np.count_nonzero(cells & bad):
-            same |= cells
-    return same

@@ -49,20 +49,21 @@ def divisions(recording: Recording) -> tuple[Division, ...]:
     sketch = _sketch(recording)
     if sketch is None:
         return tuple(found)
-    pauses = _apart(recording, sketch, limits.FEW_HALF_CYCLES)
-    if pauses:
-        parts = sketch.parts([pause.middle_s for pause in pauses])
-        strokes = [np.abs(np.diff(part.x_mm[[0, *part.turns()]])) for part in parts]
-        again = [pause for pause, own in zip(pauses, strokes[1:], strict=True) if _begins_again(strokes[0], own)]
-        if again:
-            words = f"after {_rests(again)} the protocol begins again as it began"
-            found.append(Division("repeat", _between(recording, sketch, again), words))
-    if not any(way.why == "repeat" for way in found):
+    rests = _rests(recording, sketch, limits.FEW_HALF_CYCLES)
+    strokes = [np.abs(np.diff(part.x_mm[[0, *part.turns()]])) for part in sketch.parts(rests)]
+    again = [rest for rest, own in zip(rests, strokes[1:], strict=True) if _begins_again(strokes[0], own)]
+    if again:
+        words = f"after {_said(again)} the protocol begins again as it began"
+        found.append(Division("repeat", _between(recording, sketch, again), words))
+    else:
         found += _repeated(recording, sketch)
-    longest = sketch.longest_half_cycle_s(pauses)
-    pauses = [p for p in pauses if p.length_s > longest and not sketch.holds(p)]
-    if pauses:
-        found.append(Division("rest", _between(recording, sketch, pauses), f"{_rests(pauses)} between movements"))
+    # A long rest is longer than every half-cycle that holds none.
+    edges = sketch.time_s[[0, *sketch.turns(), sketch.time_s.size - 1]]
+    holding = np.searchsorted(edges, [0.5 * (begin + end) for begin, end in rests]) - 1
+    longest = float(np.max(np.delete(np.diff(edges), holding), initial=0.0))
+    rests = [rest for rest in rests if rest[1] - rest[0] > longest and not _is_hold(sketch, rest)]
+    if rests:
+        found.append(Division("rest", _between(recording, sketch, rests), f"{_said(rests)} between movements"))
     return tuple(found)
 
 
@@ -119,26 +120,21 @@ def settle(recordings: Sequence[Recording], runs: Runs = None) -> list[Recording
 
 def _beyond_doubt(recording: Recording) -> tuple[Recording, ...]:
     """Part what the file itself tells apart; else keep the recording, with what speaks for more than one run."""
-    ways = divisions(recording)
-    if not ways:
+    way = next(iter(divisions(recording)), None)
+    if way is None:
         return (recording,)
-    way = ways[0]
     if way.why == "file":
         return _cut(recording, way)
     options = f'give --runs {way.n_runs}, --split or --one-run (in a manifest runs = {way.n_runs}, "split" or "one")'
     if way.why == "repeat":
         message = f"this looks like {way.n_runs} runs in one file: {way.words}; fitted as one it misleads; {options}"
-        finding = Finding("several-runs", "unusable", message)
-    else:
-        message = f"{way.words}; read as one run; if it holds {way.n_runs}, {options}"
-        finding = Finding("long-rests", "warning", message)
-    return (recording.with_findings(finding),)
+        return (recording.with_findings(Finding("several-runs", "unusable", message)),)
+    message = f"{way.words}; read as one run; if it holds {way.n_runs}, {options}"
+    return (recording.with_findings(Finding("long-rests", "warning", message)),)
 
 
 def _cut(recording: Recording, way: Division) -> tuple[Recording, ...]:
     """Make the recordings of a division."""
-    used = recording.used
-    assert used is not None
     whole = {*inspect(recording), *clock_findings(recording.time_s, recording.displacement_mm)}
     kept = tuple(finding for finding in recording.findings if finding not in whole)
     shift = recording.run_starts if way.why == "file" else {}
@@ -149,7 +145,7 @@ def _cut(recording: Recording, way: Division) -> tuple[Recording, ...]:
             recording.time_s[a:b] - shift.get(a, 0.0),
             recording.displacement_mm[a:b],
             recording.force_kN[a:b],
-            used[a:b],
+            np.asarray(recording.used)[a:b],
             replace(recording.source, name=f"{recording.source.name} run {number}"),
             (*kept, said),
             extras=tuple(replace(extra, values=extra.values[a:b]) for extra in recording.extras),
@@ -158,19 +154,8 @@ def _cut(recording: Recording, way: Division) -> tuple[Recording, ...]:
     return tuple(parts)
 
 
-class _Pause(NamedTuple):
-    """A rest between movements."""
-
-    begin_s: float
-    end_s: float
-
-    @property
-    def length_s(self) -> float:
-        return self.end_s - self.begin_s
-
-    @property
-    def middle_s(self) -> float:
-        return 0.5 * (self.begin_s + self.end_s)
+Rest = tuple[float, float]
+"""Begin and end of a time in which the device, or the logger, stands still between movements, s."""
 
 
 class _Sketch(NamedTuple):
@@ -185,24 +170,10 @@ class _Sketch(NamedTuple):
         """Find the samples of the reversals."""
         return hysteresis(self.x_mm, least_return(self.x_mm, self.noise_mm))
 
-    def holds(self, pause: _Pause) -> bool:
-        """Whether a pause is a hold of the test: at the end of a stroke as long as the next, away from the start."""
-        level, span = float(np.interp(pause.middle_s, self.time_s, self.x_mm)), float(np.ptp(self.x_mm))
-        before, after = self.parts([pause.begin_s])[0], self.parts([pause.end_s])[1]
-        ends = [float(part.x_mm[turn]) for part, k in ((before, -1), (after, 0)) for turn in part.turns()[k:][:1]]
-        centre = 0.5 * float(np.max(self.x_mm) + np.min(self.x_mm))
-        full = any(abs(abs(end - centre) - abs(level - centre)) < limits.SAME_STROKE * span for end in ends)
-        return full and abs(level - float(self.x_mm[0])) > limits.REST_HOME * span
-
-    def longest_half_cycle_s(self, pauses: list[_Pause]) -> float:
-        """Longest time from one reversal to the next, without those that hold one of the pauses."""
-        edges = self.time_s[[0, *self.turns(), self.time_s.size - 1]]
-        held = np.searchsorted(edges, [pause.middle_s for pause in pauses]) - 1
-        return float(np.max(np.delete(np.diff(edges), held), initial=0.0))
-
-    def parts(self, cuts_s: list[float]) -> list[_Sketch]:
-        """Sketches between times."""
-        edges = [0, *np.searchsorted(self.time_s, cuts_s).tolist(), self.time_s.size]
+    def parts(self, rests: Sequence[Rest]) -> list[_Sketch]:
+        """Sketches between the middles of rests."""
+        middles = [0.5 * (begin + end) for begin, end in rests]
+        edges = [0, *np.searchsorted(self.time_s, middles).tolist(), self.time_s.size]
         return [_Sketch(self.time_s[a:b], self.x_mm[a:b], self.noise_mm) for a, b in pairwise(edges)]
 
 
@@ -216,41 +187,42 @@ def _sketch(recording: Recording) -> _Sketch | None:
     return _Sketch(recording.time_s[::step], x[::step], noise)
 
 
-def _pauses(sketch: _Sketch) -> list[_Pause]:
-    """Rests, longer than a usual half-cycle, at which the device or the logger stands still."""
-    t, x = sketch.time_s, sketch.x_mm
-    turns = sketch.turns()
-    places = x[[0, *turns, x.size - 1]]
-    travel = float(np.sum(np.abs(np.diff(places))))
+def _is_hold(sketch: _Sketch, rest: Rest) -> bool:
+    """Whether a rest belongs to the test: at the end of a stroke as long as the next, away from the start."""
+    x, span = sketch.x_mm, float(np.ptp(sketch.x_mm))
+    centre = 0.5 * float(np.max(x) + np.min(x))
+    level = float(np.interp(0.5 * (rest[0] + rest[1]), sketch.time_s, x))
+    before, after = sketch.parts([(rest[0], rest[0])])[0], sketch.parts([(rest[1], rest[1])])[1]
+    ends = [float(part.x_mm[turn]) for part, k in ((before, -1), (after, 0)) for turn in part.turns()[k:][:1]]
+    full = any(abs(abs(end - centre) - abs(level - centre)) < limits.SAME_STROKE * span for end in ends)
+    return full and abs(level - float(x[0])) > limits.REST_HOME * span
+
+
+def _rests(recording: Recording, sketch: _Sketch, n_half: int) -> list[Rest]:
+    """Rests longer than a usual half-cycle, with enough samples and half-cycles on both sides to part something."""
+    t, x, turns = sketch.time_s, sketch.x_mm, sketch.turns()
+    travel = float(np.sum(np.abs(np.diff(x[[0, *turns, x.size - 1]]))))
     # In a bin the device moves by far more than its noise, so that a bin without movement is a rest.
     n = int(min(limits.REST_BINS, x.size // 2, travel / max(limits.REST_NOISE * sketch.noise_mm, 1e-300)))
     if n < limits.MIN_SAMPLES:
         return []
     edges = np.linspace(t[0], t[-1], n + 1)
     # The displacement at the edges too: a bin without samples, in a gap, then shows how far the device moved in it.
-    at_edges = np.interp(edges, t, x)
-    moments = np.concatenate([t, edges])
+    at_edges, moments = np.interp(edges, t, x), np.append(t, edges)
     order = np.argsort(moments, kind="stable")
-    values = np.concatenate([x, at_edges])[order]
-    first = np.searchsorted(moments[order], edges)[:-1]
+    values, first = np.append(x, at_edges)[order], np.searchsorted(moments[order], edges)[:-1]
     high = np.maximum(np.maximum.reduceat(values, first), at_edges[1:])
     span = high - np.minimum(np.minimum.reduceat(values, first), at_edges[1:])
     still = span < max(limits.REST_SPEED * travel / n, 0.2 * limits.REST_NOISE * sketch.noise_mm)
-    found = [_Pause(float(edges[a]), float(edges[b])) for a, b in stretches(still) if a > 0 and b < n]
-    found = [pause for pause in found if abs(np.diff(np.interp(pause, t, x))[0]) < limits.REST_RANGE * np.ptp(x)]
-    resting = sum(pause.length_s for pause in found)
-    usual = (float(t[-1] - t[0]) - resting) / (len(turns) + 1)
-    return [pause for pause in found if pause.length_s > limits.LONG_REST * usual]
-
-
-def _apart(recording: Recording, sketch: _Sketch, n_half: int) -> list[_Pause]:
-    """Pauses with enough samples and half-cycles on both sides; the others part nothing."""
-    kept: list[_Pause] = []
-    for pause in _pauses(sketch):
-        before, after = sketch.parts([pause.middle_s])
-        since = before.parts([kept[-1].middle_s])[1] if kept else before
-        if all(part.x_mm.size > 1 and len(part.turns()) + 1 >= n_half for part in (since, after)):
-            kept.append(pause)
+    rests = [(float(edges[a]), float(edges[b])) for a, b in stretches(still) if a > 0 and b < n]
+    rests = [rest for rest in rests if abs(np.diff(np.interp(rest, t, x))[0]) < limits.REST_RANGE * np.ptp(x)]
+    usual = (float(t[-1] - t[0]) - sum(end - begin for begin, end in rests)) / (len(turns) + 1)
+    kept: list[Rest] = []
+    for rest in rests:
+        if rest[1] - rest[0] > limits.LONG_REST * usual:
+            *_, before, after = sketch.parts([*kept, rest])
+            if all(part.x_mm.size > 1 and len(part.turns()) + 1 >= n_half for part in (before, after)):
+                kept.append(rest)
     return kept if all(b - a >= limits.MIN_SAMPLES for a, b in _between(recording, sketch, kept)) else []
 
 
@@ -260,8 +232,14 @@ def _begins_again(first: FloatArray, other: FloatArray) -> bool:
     From the first stroke on; or, of a varied protocol, without its first stroke and after one or two strokes back from
     where the part before was cut off.
     """
+
+    def alike(first: FloatArray, other: FloatArray) -> bool:
+        n = min(first.size, other.size)  # as far as both go
+        limit = limits.SAME_STROKE * np.maximum(first[:n], 0.2 * float(np.max(first, initial=0.0)))
+        return n >= limits.FEW_HALF_CYCLES - 1 and bool(np.all(np.abs(first[:n] - other[:n]) <= limit))
+
     full = first[1:]
-    return _alike(first, other) or (_varied(full) and any(_alike(full, other[back:]) for back in (1, 2)))
+    return alike(first, other) or (_varied(full) and any(alike(full, other[back:]) for back in (1, 2)))
 
 
 def _varied(sizes: FloatArray) -> bool:
@@ -269,23 +247,11 @@ def _varied(sizes: FloatArray) -> bool:
     return sizes.size >= limits.PROTOCOL_HALF_CYCLES and bool(sizes.max() >= limits.PROTOCOL_VARIES * sizes.min())
 
 
-def _alike(first: FloatArray, other: FloatArray) -> bool:
-    """Whether two protocols are the same as far as both go."""
-    n = min(first.size, other.size)
-    if n < limits.FEW_HALF_CYCLES - 1:
-        return False
-    limit = limits.SAME_STROKE * np.maximum(first[:n], 0.2 * float(np.max(first)))
-    return bool(np.all(np.abs(first[:n] - other[:n]) <= limit))
-
-
 def _repeated(recording: Recording, sketch: _Sketch) -> list[Division]:
     """Find runs without a long rest between them: the same varied sequence of amplitudes twice or more."""
-    turns = sketch.turns()
-    x, n = sketch.x_mm, len(turns)
-    size = np.abs(x[turns] - 0.5 * (float(np.max(x)) + float(np.min(x))))
-    for period in range(1, n // 2 + 1):
-        if n % period:
-            continue
+    turns, x = sketch.turns(), sketch.x_mm
+    n, size = len(turns), np.abs(x[turns] - 0.5 * (float(np.max(x)) + float(np.min(x))))
+    for period in (k for k in range(1, n // 2 + 1) if n % k == 0):
         blocks = size.reshape(-1, period)
         if np.any(np.abs(blocks - blocks[0]) > limits.SAME_STROKE * np.maximum(blocks[0], 0.2 * float(np.max(size)))):
             continue
@@ -306,13 +272,13 @@ def _longest_rests(recording: Recording, n_runs: int) -> Division | None:
     sketch = _sketch(recording)
     if sketch is None:
         return None
-    pauses = _apart(recording, sketch, limits.MIN_HALF_CYCLES)
-    by_length = sorted(pauses, key=lambda pause: pause.length_s, reverse=True)
-    chosen, rest = by_length[: n_runs - 1], by_length[n_runs - 1 :]
-    if len(chosen) < n_runs - 1 or (rest and chosen[-1].length_s < 1.5 * rest[0].length_s):
+    rests = _rests(recording, sketch, limits.MIN_HALF_CYCLES)
+    rests.sort(key=lambda rest: rest[0] - rest[1])
+    chosen, others = sorted(rests[: n_runs - 1]), [end - begin for begin, end in rests[n_runs - 1 :]]
+    shortest = min((end - begin for begin, end in chosen), default=0.0)
+    if len(chosen) < n_runs - 1 or (others and shortest < 1.5 * others[0]):
         return None
-    chosen.sort(key=lambda pause: pause.begin_s)
-    return Division("rest", _between(recording, sketch, chosen), f"{_rests(chosen)} between movements, the longest")
+    return Division("rest", _between(recording, sketch, chosen), f"{_said(chosen)} between movements, the longest")
 
 
 def _spans(recording: Recording, starts: list[int]) -> tuple[tuple[int, int], ...]:
@@ -320,27 +286,27 @@ def _spans(recording: Recording, starts: list[int]) -> tuple[tuple[int, int], ..
     return tuple(pairwise([0, *starts, recording.n_samples]))
 
 
-def _between(recording: Recording, sketch: _Sketch, pauses: list[_Pause]) -> tuple[tuple[int, int], ...]:
-    """Leave out the pauses between runs: what a rig does to the force while nothing slides is not the device's."""
+def _between(recording: Recording, sketch: _Sketch, rests: list[Rest]) -> tuple[tuple[int, int], ...]:
+    """Leave out the rests between runs: what a rig does to the force while nothing slides is not the device's."""
     t, x = recording.time_s, recording.displacement_mm
-    begin, spans = 0, []
-    for pause in pauses:
-        a, b = (int(i) for i in np.searchsorted(t, [pause.begin_s, pause.end_s]))
-        # The pause was seen in pieces of the duration; it began with the first sample at its level.
+    first, spans = 0, []
+    for rest in rests:
+        a, b = (int(i) for i in np.searchsorted(t, rest))
+        # The rest was seen in pieces of the duration; it began with the first sample at its level.
         level = float(np.median(x[a:b])) if b > a else float(x[min(a, x.size - 1)])
-        near = slice(max(begin, a - limits.MIN_SAMPLES - 2 * x.size // limits.REST_BINS), a)
+        near = slice(max(first, a - limits.MIN_SAMPLES - 2 * x.size // limits.REST_BINS), a)
         moving = np.flatnonzero(np.abs(x[near] - level) > limits.REST_AT * sketch.noise_mm)
         end = near.start + int(moving[-1]) + 1 if moving.size else near.start
-        spans.append((begin, end))
-        begin = max(end, b - limits.MIN_SAMPLES)
-    return (*spans, (begin, recording.n_samples))
+        spans.append((first, end))
+        first = max(end, b - limits.MIN_SAMPLES)
+    return (*spans, (first, recording.n_samples))
 
 
-def _rests(pauses: list[_Pause]) -> str:
-    """Pauses in words."""
-    shown = ", ".join(f"{p.length_s:.3g} s at {p.begin_s:.4g} s" for p in pauses[:4])
-    more = f" and {len(pauses) - 4} more" if len(pauses) > 4 else ""
-    return f"{'a rest' if len(pauses) == 1 else f'{len(pauses)} rests'} ({shown}{more})"
+def _said(rests: list[Rest]) -> str:
+    """Rests in words."""
+    shown = ", ".join(f"{end - begin:.3g} s at {begin:.4g} s" for begin, end in rests[:4])
+    more = f" and {len(rests) - 4} more" if len(rests) > 4 else ""
+    return f"{'a rest' if len(rests) == 1 else f'{len(rests)} rests'} ({shown}{more})"
 
 
 SCHEMA = "shj-bayes/check/1"
