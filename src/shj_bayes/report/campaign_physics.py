@@ -85,8 +85,8 @@ def table(together: Iterable[SetTogether]) -> dict[str, Any] | None:
     groups = [group for group in together if group.classes]
     by_class: dict[DependenceId, dict[str, SharedDependence]] = {}
     for group in groups:
-        for one in group.classes:
-            by_class.setdefault(one.id, {})[group.set] = one
+        for shared in group.classes:
+            by_class.setdefault(shared.id, {})[group.set] = shared
     kept, excluded = [], dict[str, list[str]]()  # classes by what they act on
     for one in sorted(by_class, key=str):
         rows = by_class[one].values()
