@@ -400,7 +400,7 @@ def export_analysis(
     drawn = bounds(design, result, amplitude, connections)
     speed = min(s.ranges["speed"] for s in specimens)
     source = campaign.name if campaign else TABLES_NAME
-    devices = () if draws is None else draw_devices(design, result, draws, speed)
+    devices = {} if draws is None else draw_devices(design, result, draws, speed)
     left_out = (*stiffness_words(connections), *left_out_words([test.channels for test in tests]))
     files = {"link-elements.csv": link_csv(drawn, f"{amplitude:.3g} mm", left_out)}
     if target == PROGRAMS[0]:
