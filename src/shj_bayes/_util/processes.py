@@ -141,10 +141,7 @@ def quiet_libraries() -> None:
 
 @contextmanager
 def tether() -> Iterator[int]:
-    """Give a child a standard input (``stdin=`` of `subprocess`) that ends when this process does.
-
-    The child calls `end_with_input`.
-    """
+    """Give a child a standard input (``stdin=`` of `subprocess`) that ends when this process does."""
     reading, writing = os.pipe()
     try:
         yield reading

@@ -304,10 +304,7 @@ MOST_DRAWN = 100  # devices whose loops are drawn and written
 
 
 def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) -> str:
-    """Draw up and write the margins of a folder; parameters and errors as for `design_margins`.
-
-    Gives the design table and what to mind, for people.
-    """
+    """Draw up and write the margins of a folder; parameters and errors as for `design_margins`."""
     pooled = pooled_tests(folder, request, progress=progress)
     sheet, asked, campaign = sheet_of(pooled, request), pooled.asked, pooled.campaign
     slowest = min(s.ranges["speed"] for s in pooled.specimens)

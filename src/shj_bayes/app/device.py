@@ -168,10 +168,7 @@ def diagnose_device(
     name: str | None,
     work: Work,
 ) -> CommandResult:
-    """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page.
-
-    Arguments are those of `shj_bayes.api.diagnose`.
-    """
+    """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page."""
     # Naming what is missing needs half of scipy, which a fit need not wait for.
     from shj_bayes.mismatch.diagnosis import diagnose  # noqa: PLC0415
     from shj_bayes.report.diagnosis_page import render_diagnosis  # noqa: PLC0415
@@ -239,10 +236,7 @@ def _digest(*arrays: object) -> str:
 
 
 def remarked(recordings: Sequence[Recording], free: Sequence[str] = ()) -> list[Recording]:
-    """Warn where one of a device's recordings comes again, and where an option can have no effect.
-
-    Such as `free`, the parameters that each run has for itself, where there is one run.
-    """
+    """Warn where one of a device's recordings comes again, and where an option can have no effect."""
     if len(recordings) == 1 and free:
         message = f"{', '.join(free)} cannot differ between runs where there is one run: --free has no effect"
         return [recordings[0].with_findings(Finding("free-without-effect", "warning", message))]
@@ -284,10 +278,7 @@ def gamma_of(dep_mm_s: float | None) -> float:
 def write_simulated(
     stem: Path, truth: Truth, *, seed: int, rate_Hz: float, last_cycles: int = 5, model: str = "published"
 ) -> list[Path]:
-    """Simulate two runs of Table 1 and write ``STEM-run1.csv``, ``STEM-run2.csv`` and the truth, ``STEM.json``.
-
-    The same seed gives the same files.
-    """
+    """Simulate two runs of Table 1 and write ``STEM-run1.csv``, ``STEM-run2.csv`` and the truth, ``STEM.json``."""
     blocks = table_1(last_cycles)
     recordings = simulate_device(truth, seed=seed, rate_Hz=rate_Hz, blocks=blocks, variant=model)
     stem.parent.mkdir(parents=True, exist_ok=True)

@@ -74,10 +74,7 @@ def device_text(folder: Path, record: FitRecord, note: str = "") -> str:
 def kept_result(
     paths: Sequence[Path], folder: Path, options: Mapping[str, Any], name: str | None
 ) -> CommandResult | None:
-    """Give the result of the same fit, finished earlier; None where it has to be made, or made whole.
-
-    `options` are all fields of `FitOptions`.
-    """
+    """Give the result of the same fit, finished earlier; None where it has to be made, or made whole."""
     there = has(FitRecord, folder) and (folder / "report.html").is_file()
     if not there or options["priors_from"] is not None:
         return None
@@ -95,10 +92,7 @@ def kept_result(
 def key_of(
     digests: Sequence[str], options: Mapping[str, Any], priors_sha256: str, name: str, *, speed: bool = True
 ) -> str:
-    """Digest of all that a result depends on: digests of the recordings, in their order, all `Options`, priors, name.
-
-    `speed` says whether the law depends on it.
-    """
+    """Digest of all that a result depends on: recordings in order, `FitOptions`, priors, name, `speed` of the law."""
     # Of a prior file its name and digest count, not where it lies: the folder may be reached by another path.
     chosen = {**options, "priors": Path(options["priors"]).name, "effects": sorted(options["effects"])}
     content = [list(digests), chosen, priors_sha256, name, speed, shj_bayes.__version__, sorted(base_parameters())]

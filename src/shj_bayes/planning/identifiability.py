@@ -22,7 +22,7 @@ from shj_bayes.mismatch.data import data_of
 from shj_bayes.mismatch.regions import aliases_of
 from shj_bayes.model.device import DeviceModel, meaning_of
 from shj_bayes.population.readings import counted_from, of_readings, read_off
-from shj_bayes.recording.motion import one_peak_speed
+from shj_bayes.recording.motion import Motion, one_peak_speed
 from shj_bayes.results.diagnosis import Alias
 from shj_bayes.results.fit import RemarkRecord
 
@@ -130,11 +130,6 @@ def first_answer(
             variance = float(slope @ start.covariance[: slope.size, : slope.size] @ slope)
             least = float(plateaus[0]), math.sqrt(variance)
     reach = 2.0 * float(theta[0, names.index("Fy")] / theta[0, names.index("K")])  # mm, from plateau to plateau
-    in_knee = []  # readings of each half-cycle within that of its beginning
-    for motion in (run.motion for run in runs):
-        begins = np.repeat(motion.turning_mm[: motion.n_half], np.diff(motion.start))
-        near = np.abs(motion.displacement_mm - begins) <= reach
-        in_knee.append(np.add.reduceat(near.astype(np.float64), motion.start[:-1]))
     said = Identifiability(
         doubts=() if least else (Doubt.NEVER_SLIDES,),
         parameters=parameters,
@@ -143,8 +138,15 @@ def first_answer(
         least_sd_kN=least[1] if least else None,
         rmse_kN=float(np.sqrt(np.mean(left**2))),
         half_cycles=n_half,
-        readings_of_knee=float(np.median(np.concatenate(in_knee))),
+        readings_of_knee=float(np.median(np.concatenate([_in_knee(run.motion, reach) for run in runs]))),
         one_speed_mm_s=one_peak_speed(np.concatenate([run.motion.peak_mm_s[1:-1] for run in runs])),
         confusions=tuple(aliases_of(data_of(runs, model))),
     )
     return said, forces
+
+
+def _in_knee(motion: Motion, reach_mm: float) -> FloatArray:
+    """Count the readings of each half-cycle within a distance of its beginning."""
+    begins = np.repeat(motion.turning_mm[: motion.n_half], np.diff(motion.start))
+    near = np.abs(motion.displacement_mm - begins) <= reach_mm
+    return np.add.reduceat(near.astype(np.float64), motion.start[:-1])

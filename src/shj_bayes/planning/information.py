@@ -78,10 +78,7 @@ def expected_information(
     quantity: LinearQuantity | None = None,
     n: int = OUTCOMES,
 ) -> ExpectedInformation:
-    """Weigh the outcomes that a protocol may have, `n` drawn from each rival; candidates share the seed.
-
-    With a `quantity`, what it is expected to be known to as well.
-    """
+    """Weigh the outcomes that a protocol may have, `n` drawn from each rival; candidates share the seed."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
     rivals = known.rivals
     data, misread = as_read(known, protocol, rate_Hz, rng)
