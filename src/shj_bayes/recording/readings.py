@@ -111,7 +111,10 @@ def stopped(force_kN: FloatArray, displacement_mm: FloatArray) -> BoolArray:
     long = [(a, b) for a, b in equal if b - a >= limits.STOPPED_RUN and force_kN[a] not in extremes]
     long = [(a, b) for a, b in long if float(np.ptp(displacement_mm[a:b])) > least]
     # A rounded channel, and a plateau without noise, repeat values in every half-cycle.
-    if _length(equal) <= 1.2 * _length(long) and len(long) <= limits.STOPS:
+    held, n = _length(long), force_kN.size
+    others = np.count_nonzero(np.diff(force_kN) == 0.0) - (held - len(long))
+    noisy = held < limits.STOPPED_SHARE * n and others < limits.STOPPED_EQUAL * n
+    if _length(equal) <= 1.2 * held and (len(long) <= limits.STOPS or noisy):
         for a, b in long:
             found[a:b] = True
     return found

@@ -34,11 +34,20 @@ _HEAD = 4096  # bytes in which the zeros of UTF-16 are looked for
 
 
 def read_text(path: Path) -> Table:
-    """Read a text table, plain or gzipped."""
-    encoding = find_encoding(path)
-    said = "Latin-1" if encoding == "cp1252" else encoding
-    notes = [] if encoding.startswith("utf-8") else [Finding("encoding", "note", f"text read as {said}")]
-    return table_from_lines(_lines(path, encoding), path.name, notes)
+    """Read a text table, plain or gzipped: UTF-8, -16 or -32 by marks or zeros, else Latin-1 as Windows writes it."""
+    encoding = _by_head(next(_pieces(path), b"")[:_HEAD], path.name)
+    try:
+        return table_from_lines(_lines(path, encoding), path.name, _read_as(encoding))
+    except UnicodeDecodeError as error:
+        if encoding not in ("utf-8", "utf-8-sig"):
+            raise RecordingError(
+                f"{path.name} begins as {encoding} but is damaged ({error.reason}); export it again, as UTF-8"
+            ) from error
+        return table_from_lines(_lines(path, "cp1252"), path.name, _read_as("Latin-1"))
+
+
+def _read_as(encoding: str) -> list[Finding]:
+    return [] if encoding.startswith("utf-8") else [Finding("encoding", "note", f"text read as {encoding}")]
 
 
 def table_from_lines(blocks: Iterable[Sequence[str]], name: str, notes: Iterable[Finding] = ()) -> Table:
@@ -112,27 +121,6 @@ class _Lines:
     def line_of(self, row: int) -> int:
         """Give the number of a row's line in the file, counted from 1."""
         return row + 1 + bisect_right(self.passed, row)
-
-
-def find_encoding(path: Path) -> str:
-    """Codec of a text file, plain or gzipped: UTF-8, -16 or -32 by marks or zeros, else Latin-1 as Windows writes it.
-
-    The file is read once to its end.
-    """
-    pieces = _pieces(path)
-    first = next(pieces, b"")
-    encoding = _by_head(first[:_HEAD], path.name)
-    decoder = codecs.getincrementaldecoder(encoding)()
-    try:
-        for piece in chain([first], pieces, [b""]):
-            decoder.decode(piece, final=not piece)
-    except UnicodeDecodeError as error:
-        if encoding not in ("utf-8", "utf-8-sig"):
-            raise RecordingError(
-                f"{path.name} begins as {encoding} but is damaged ({error.reason}); export it again, as UTF-8"
-            ) from error
-        return "cp1252"
-    return encoding
 
 
 def _by_head(head: bytes, name: str) -> str:
