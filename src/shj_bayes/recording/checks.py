@@ -49,11 +49,7 @@ def repair(
 def _at_own_rates(
     t: FloatArray, x: FloatArray, f: FloatArray, findings: list[Finding]
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Take a channel that is slower than the table at its own rate; the last value marks the rows that repeat a force.
-
-    A displacement that repeats drives nothing: the rows with a new one are kept, at the moments at which it was read. A
-    force that repeats is no evidence, and the displacement of these rows is.
-    """
+    """Take a channel that is slower than the table at its own rate; the last value marks rows that repeat a force."""
 
     def say(label: str, period: float, then: str) -> None:
         rate = 1.0 / float(np.median(np.diff(t)))
@@ -159,11 +155,7 @@ def _changes(values: FloatArray) -> FloatArray:
 
 
 def _shape(values: FloatArray) -> FloatArray:
-    """How a channel, shape (n_samples,), moves: burstiness and roughness, shape (2,).
-
-    Root mean square over mean of the changes: near 1.1 for a driven displacement, more for a force that reverses. Root
-    mean square of the second changes over that of the first: below 0.4 for a driven displacement, 1.7 for white noise.
-    """
+    """How a channel moves, shape (2,): rms over mean of its changes; rms of second changes over that of the first."""
     change = _changes(values)
     mean, size = float(np.mean(np.abs(change))), float(np.sqrt(np.mean(change**2)))
     rough = float(np.sqrt(np.mean(np.diff(change) ** 2))) / size if change.size > 1 and size > 0 else 0.0
@@ -176,11 +168,7 @@ def _half_cycles(values: FloatArray) -> int:
 
 
 def _exchanged(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
-    """How much more the displacement looks like a force, and the force like a driven displacement.
-
-    Product of the ratios of jumps, roughness and half-cycles: at most 1.8 in 26 public recordings; 12 and more with
-    their columns exchanged, but for two that were digitised.
-    """
+    """Product of the ratios of jumps, roughness, half-cycles: at most 1.8 in 26 public recordings, 12 if exchanged."""
     alike = float(np.prod(_shape(displacement_mm) / np.maximum(_shape(force_kN), 1e-300)))
     return alike * _half_cycles(displacement_mm) / _half_cycles(force_kN)
 
@@ -192,7 +180,8 @@ def _signed(t: FloatArray, x: FloatArray, f: FloatArray, findings: list[Finding]
     channels swapped. Turning the force round is safe: it only exchanges the names push and pull. Swapping is not: it is
     for the user to say which column is which. Where only a part of the loop gives energy back, neither is right.
     """
-    if changes := list(_changed_force(t, x, f)):
+    changes = list(_changed_force(t, x, f))
+    if changes and _exchanged(x, f) <= limits.SWAPPED_PRODUCT:
         findings += changes
         return f
     # Work over that of a rigid friction loop of the same range and travel: about 0.8 for friction, 0 for elastic.
@@ -412,11 +401,8 @@ def _lag(recording: Recording, motion: Motion) -> Iterator[Finding]:
 
 
 def _unloading(recording: Recording, motion: Motion) -> list[tuple[int, FloatArray, FloatArray]]:
-    """Half-cycle, times and relative force drops between 5 and 60 % of the plateau, after each reversal.
-
-    Of samples that are evidence: a plateau at which the load cell is clipped, or a reading that is repeated, would seem
-    to be late.
-    """
+    """Half-cycle, times and relative force drops between 5 and 60 % of the plateau, after each reversal."""
+    # Of evidence alone: a plateau at which the load cell is clipped, or a reading that is repeated, would seem late.
     used, force, pieces = np.asarray(recording.used), recording.force_kN, []
     for k in range(1, motion.n_half):
         before, a, b = motion.start[k - 1 : k + 2].tolist()

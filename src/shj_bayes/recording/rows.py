@@ -135,7 +135,7 @@ def find_dialect(lines: list[str], name: str) -> Dialect:
 
 
 _BRACKETED = re.compile(r"^(?P<name>.*?)[\s_,/]*[(\[{<]\s*(?P<unit>[^()\[\]{}<>]{1,24})\s*[)\]}>]\s*$")
-# Bare suffixes that are units; single letters that pint knows besides (a, d, h, t ...) are part of a name.
+# Bare suffixes that are units; single letters besides (a, d, h, t ...) are part of a name.
 _SUFFIXES = {
     *("s", "sec", "ms", "us", "mm", "cm", "m", "um", "\u00b5m", "\u03bcm", "in", "inch", "ft"),
     *("n", "kn", "mn", "lb", "lbs", "lbf", "kip", "kips", "kgf", "tonf"),
@@ -176,7 +176,7 @@ def is_unit_row(cells: list[str]) -> bool:
 
     True where every cell is empty, a dash or a usual unit, or, where units of two of these are among them,
     anything that may be a unit of another quantity: a file has channels that nobody needs. Names of two channels are
-    none, and pint, whose list takes half a second to read, is not asked about them.
+    none.
     """
     words = [split_header(cell)[0] for cell in cells if len(cell) >= _SHORTEST_NAME]
     if len(set[str]().union(*map(roles_named, words))) > 1:

@@ -157,10 +157,7 @@ def _within(node: dict[str, Any], mark: str, group: str, key: str) -> Iterator[C
 
 
 def _numbers(value: Any) -> Any:
-    """Numbers as a column, cells of numbers too; other cells as a list, those with titles by them; the rest as it is.
-
-    A vector, or a matrix with the long side down; None for numbers that are neither.
-    """
+    """Numbers as a column, also of cells; other cells as a list, those with titles by them; the rest as it is."""
     if isinstance(value, np.ndarray) and value.dtype.kind == "O":
         table = np.empty((0, 0)) if value.ndim != 2 else value if value.shape[0] >= value.shape[1] else value.T
         titled = bool(table.size) and all(isinstance(each, str) for each in table[0])
@@ -317,6 +314,8 @@ class _Tree:
             return None
         self.bytes += int(item.size or 0) * max(8, item.dtype.itemsize)
         refuse_large(self.bytes, self.name)
+        if item.chunks and math.prod(map(int, item.chunks)) * item.dtype.itemsize > limits.MAX_BYTES:
+            raise RecordingError(f"{self.name}: chunks of {item.chunks} values; save it again with smaller ones")
         values = item[()]
         if kind == "char":
             return "".join(chr(int(letter)) for letter in np.ravel(values)[: limits.MAX_PARTS])
@@ -334,6 +333,7 @@ class _Tree:
 
 
 _V5_ORDERS: dict[bytes, Literal["little", "big"]] = {b"\x00\x01IM": "little", b"\x01\x00MI": "big"}  # at byte 124
+_COMPRESSED = 15  # type of an element
 
 
 def from_mat(path: Path) -> dict[str, Any]:
@@ -345,14 +345,23 @@ def from_mat(path: Path) -> dict[str, Any]:
         order = _V5_ORDERS.get(head[124:])
         if order is None and 0 not in head[:4]:  # as in version 4: it begins with a small integer
             raise RecordingError(f"{path.name} is not a MAT file although its ending says so; export it again")
+        total = 0
         while order and len(tag := stream.read(8)) == 8:
-            size, left = int.from_bytes(tag[4:], order), length - stream.tell()
-            if size > left:  # it would hide those behind it
+            kind, size = (int.from_bytes(part, order) for part in (tag[:4], tag[4:]))
+            begin = stream.tell()
+            if size > length - begin:  # it would hide those behind it
                 raise RecordingError(
-                    f"{path.name}: the element at byte {stream.tell() - 8} claims {size} bytes, the file has {left} "
+                    f"{path.name}: the element at byte {begin - 8} claims {size} bytes, the file has {length - begin} "
                     "left; check that it is complete, or save it again"
                 )
-            stream.seek(size, 1)
+            unpacker = zlib.decompressobj()
+            while kind == _COMPRESSED and (left := begin + size - stream.tell()) > 0:
+                packed = stream.read(min(left, limits.CHUNK_BYTES))
+                while packed:  # counted in pieces before scipy unpacks it whole
+                    total += len(unpacker.decompress(packed, limits.CHUNK_BYTES))
+                    refuse_large(total, path.name)
+                    packed = unpacker.unconsumed_tail
+            stream.seek(begin + size)
     try:
         listing = whosmat(path)
         # math.prod, since the sizes of a damaged file overflow the integers of numpy

@@ -92,31 +92,26 @@ class _Lines:
 
     def __iter__(self) -> Iterator[str]:
         """Give the rows, in the signs of typewriters."""
-        return chain.from_iterable(map(self._rows, self.blocks))
-
-    def _rows(self, block: Sequence[str]) -> Iterable[str]:
-        """Rows of a block, which is nearly always all of it."""
-        if all(map(str.isascii, block)) and _NO_ROW.isdisjoint({line.lstrip()[:1] for line in block}):
-            self.n_rows += len(block)
-            return block
-        return self._one_by_one(block)
-
-    def _one_by_one(self, block: Sequence[str]) -> Iterator[str]:
-        for line in block:
-            text = line.lstrip()
-            if text[:1] not in _NO_ROW:
-                self.n_rows += 1
-                # A minus is a hyphen, whatever a typesetter made of it, and nothing is invisible.
-                yield line if line.isascii() else _MINUS.sub("-", line.translate(_INVISIBLE))
+        for block in self.blocks:
+            if all(map(str.isascii, block)) and _NO_ROW.isdisjoint({line.lstrip()[:1] for line in block}):
+                self.n_rows += len(block)
+                yield from block  # as it is, which nearly all blocks are
                 continue
-            self.passed.append(self.n_rows)
-            if len(self.passed) - self.n_rows > MAX_EMPTY:
-                raise RecordingError(
-                    f"{self.name} holds {MAX_EMPTY} more empty lines and comments than rows of numbers; that is no "
-                    f"recording; export it again, one row on each line"
-                )
-            if text and len(self.comments) < LOOK:
-                self.comments.append(line)
+            for line in block:
+                text = line.lstrip()
+                if text[:1] not in _NO_ROW:
+                    self.n_rows += 1
+                    # A minus is a hyphen, whatever a typesetter made of it, and nothing is invisible.
+                    yield line if line.isascii() else _MINUS.sub("-", line.translate(_INVISIBLE))
+                    continue
+                self.passed.append(self.n_rows)
+                if len(self.passed) - self.n_rows > MAX_EMPTY:
+                    raise RecordingError(
+                        f"{self.name} holds {MAX_EMPTY} more empty lines and comments than rows of numbers; that is no "
+                        f"recording; export it again, one row on each line"
+                    )
+                if text and len(self.comments) < LOOK:
+                    self.comments.append(line)
 
     def line_of(self, row: int) -> int:
         """Give the number of a row's line in the file, counted from 1."""
@@ -225,10 +220,7 @@ def _with_waves(columns: list[Column], rows: TextRows, findings: list[Finding]) 
 
 
 def _one_time(columns: list[Column], stamps: list[Stamps | None], name: str, findings: list[Finding]) -> list[Column]:
-    """Columns without the times that say the same as another one, as beside each channel of a data logger.
-
-    Where times beside the channels differ, each channel keeps its own.
-    """
+    """Columns without times that say the same as another one; where these differ, each channel keeps its own."""
     named = {i: seconds_of(column) for i, column in enumerate(columns) if "time" in roles_named(column.name)}
     clocks = {i: clock for i, clock in named.items() if clock is not None}
     if len(clocks) < 2:
