@@ -268,13 +268,25 @@ def test_a_cell_in_the_last_row_costs_no_time(tmp_path, row):
     assert time.process_time() - begin < 8
 
 
-def test_a_compressed_mat_file_is_counted_before_it_is_unpacked(tmp_path, monkeypatch):
+@pytest.mark.parametrize("nested", [False, True])
+def test_a_compressed_mat_file_is_counted_before_it_is_unpacked(tmp_path, monkeypatch, nested):
+    """What lies in structs is in no listing; where the memory of a process cannot be bounded, the count alone holds."""
     path = tmp_path / "run.mat"
-    scipy.io.savemat(path, {"time_s": np.zeros(400_000)}, do_compression=True)
+    zeros = {"time_s": np.zeros(400_000)}
+    scipy.io.savemat(path, {"test": zeros} if nested else zeros, do_compression=True)
     monkeypatch.setattr(limits, "MAX_BYTES", 1_000_000)
+    monkeypatch.setattr(limits, "CHUNK_BYTES", 300_000)
+    monkeypatch.setattr(scipy.io, "loadmat", None)
     with pytest.raises(RecordingError, match="MiB of numbers"):
-        read_table(path)
+        binary.from_mat(path)
     assert len(zlib.compress(bytes(3_200_000))) < path.stat().st_size < 100_000
+
+
+def test_chunks_that_unpack_beyond_the_bound_are_not_opened(tmp_path):
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file.create_dataset("time_s", (60,), "f8", chunks=(2**27,), maxshape=(None,))
+    with pytest.raises(RecordingError, match=r"chunks of \(134217728,\) values; save it again with smaller ones"):
+        read_table(tmp_path / "run.h5")
 
 
 def test_datasets_that_claim_more_than_they_hold(tmp_path):

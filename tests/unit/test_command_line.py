@@ -388,7 +388,7 @@ def test_commands_do_not_wait_for_libraries_that_they_may_not_need(module, unnee
 
 
 def test_a_recording_is_checked_without_scipy(tmp_path):
-    """But for one whose motion has corners, or a unit that only pint knows."""
+    """But for one whose motion has corners."""
     time_s = np.arange(0.0, 60.0, 0.05)
     force = np.clip(40.0 * np.cos(0.5 * time_s), -30.0, 30.0) + np.random.default_rng(1).normal(0.0, 0.1, time_s.size)
     path = tmp_path / "smooth.csv"

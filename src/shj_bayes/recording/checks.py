@@ -43,17 +43,13 @@ def repair(
     f, filled_f = fill(t, f, "force", bad_f[keep], findings)
     standing = _standing(t, x, f, findings)
     findings += [*clock_findings(t, x), *_magnitudes(x, f)]
-    return t, x, _signed(x, f, findings), ~(repeats | filled_x | filled_f | standing), tuple(findings)
+    return t, x, _signed(t, x, f, findings), ~(repeats | filled_x | filled_f | standing), tuple(findings)
 
 
 def _at_own_rates(
     t: FloatArray, x: FloatArray, f: FloatArray, findings: list[Finding]
 ) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Take a channel that is slower than the table at its own rate; the last value marks the rows that repeat a force.
-
-    A displacement that repeats drives nothing: the rows with a new one are kept, at the moments at which it was read. A
-    force that repeats is no evidence, and the displacement of these rows is.
-    """
+    """Take a channel that is slower than the table at its own rate; the last value marks rows that repeat a force."""
 
     def say(label: str, period: float, then: str) -> None:
         rate = 1.0 / float(np.median(np.diff(t)))
@@ -126,9 +122,10 @@ def _standing(t: FloatArray, x: FloatArray, f: FloatArray, findings: list[Findin
             findings.append(Finding("clipped", "unusable" if share > most else "warning", message, count))
     if dead.any():
         count, share, first, (unit, scale) = int(dead.sum()), float(np.mean(dead)), int(np.argmax(dead)), unit_of(f)
+        since = f"{len(places)} times, first from" if len(places := runs(dead)) > 1 else "from"
         message = (
-            f"force holds {f[first] * scale:.4g} {unit} in {count} rows ({share:.1%}), from {t[first]:.6g} s, while "
-            "the device moves: its channel has stopped; these rows are not used as evidence"
+            f"force holds {f[first] * scale:.4g} {unit} in {count} rows ({share:.1%}), {since} {t[first]:.6g} s, "
+            "while the device moves: its channel has stopped; these rows are not used as evidence"
         )
         findings.append(Finding("stopped", "unusable" if share > 0.5 else "warning", message, count))
     return np.asarray(cut_x | cut_f | dead)
@@ -158,11 +155,7 @@ def _changes(values: FloatArray) -> FloatArray:
 
 
 def _shape(values: FloatArray) -> FloatArray:
-    """How a channel, shape (n_samples,), moves: burstiness and roughness, shape (2,).
-
-    Root mean square over mean of the changes: near 1.1 for a driven displacement, more for a force that reverses. Root
-    mean square of the second changes over that of the first: below 0.4 for a driven displacement, 1.7 for white noise.
-    """
+    """How a channel moves, shape (2,): rms over mean of its changes; rms of second changes over that of the first."""
     change = _changes(values)
     mean, size = float(np.mean(np.abs(change))), float(np.sqrt(np.mean(change**2)))
     rough = float(np.sqrt(np.mean(np.diff(change) ** 2))) / size if change.size > 1 and size > 0 else 0.0
@@ -175,22 +168,22 @@ def _half_cycles(values: FloatArray) -> int:
 
 
 def _exchanged(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
-    """How much more the displacement looks like a force, and the force like a driven displacement.
-
-    Product of the ratios of jumps, roughness and half-cycles: at most 1.8 in 26 public recordings; 12 and more with
-    their columns exchanged, but for two that were digitised.
-    """
+    """Product of the ratios of jumps, roughness, half-cycles: at most 1.8 in 26 public recordings, 12 if exchanged."""
     alike = float(np.prod(_shape(displacement_mm) / np.maximum(_shape(force_kN), 1e-300)))
     return alike * _half_cycles(displacement_mm) / _half_cycles(force_kN)
 
 
-def _signed(x: FloatArray, f: FloatArray, findings: list[Finding]) -> FloatArray:
+def _signed(t: FloatArray, x: FloatArray, f: FloatArray, findings: list[Finding]) -> FloatArray:
     """Turn a force of the wrong sign round; name columns that seem swapped.
 
     A passive device takes up energy. A loop that gives energy back has one channel with the wrong sign, or the two
     channels swapped. Turning the force round is safe: it only exchanges the names push and pull. Swapping is not: it is
-    for the user to say which column is which.
+    for the user to say which column is which. Where only a part of the loop gives energy back, neither is right.
     """
+    changes = list(_changed_force(t, x, f))
+    if changes and _exchanged(x, f) <= limits.SWAPPED_PRODUCT:
+        findings += changes
+        return f
     # Work over that of a rigid friction loop of the same range and travel: about 0.8 for friction, 0 for elastic.
     low, high = np.percentile(f, [2, 98])
     most = 0.5 * float(high - low) * float(np.sum(np.abs(_changes(x))))
@@ -213,6 +206,54 @@ def _signed(x: FloatArray, f: FloatArray, findings: list[Finding]) -> FloatArray
     )
     findings.append(Finding("force-sign", "repaired", message))
     return -f
+
+
+def _changed_force(t: FloatArray, x: FloatArray, f: FloatArray) -> Iterator[Finding]:
+    """Refuse a force of which the sign or the scale changes within the record: a cable turned round, a range switched.
+
+    Compared are the levels of two half-cycles each, before and behind every half-cycle, where the device slides: work
+    over travel, from which what is elastic, a mass and an offset cancel. Wear, speed or a lost bolt change no level
+    threefold from one half-cycle to the next of the same stroke and duration.
+    """
+    turns = np.array(hysteresis(x, least_return(x, noise_of(x))), dtype=np.int64)
+    if turns.size < limits.LEVEL_TURNS:
+        return
+    work = np.append(0.0, np.cumsum(0.5 * (f[1:] + f[:-1]) * np.diff(x)))
+    sums = np.array([np.diff(work[turns]), np.abs(np.diff(x[turns])), np.diff(t[turns])])
+    done, travel, lasted = sums[:, 1:] + sums[:, :-1]
+    level = done / travel
+    high, low = (limit.reduceat(f, turns)[:-1] for limit in (np.maximum, np.minimum))
+    swing = 0.5 * (np.maximum(high[1:], high[:-1]) - np.minimum(low[1:], low[:-1]))
+    slides = np.abs(level) > limits.SIGN_SHARE * swing
+    found = []
+    for k in range(2, level.size - 1):
+        earlier, later = np.flatnonzero(slides[: k - 1])[-3:], np.flatnonzero(slides[k + 1 :])[:3] + k + 1
+        if not slides[k - 2] or not slides[k + 1] or min(earlier.size, later.size) < 2:
+            continue
+        before, behind = level[k - 2], level[k + 1]
+        same, other, ratio = level[earlier] / before, level[later] / before, behind / before
+        turned = bool(np.all(same > 0) and np.all(other < 0))
+        alike = all(abs(np.log(one[k + 1] / one[k - 2])) < np.log(limits.LEVEL_ALIKE) for one in (travel, lasted))
+        scaled = np.all((same > 0.5) & (same < 2.0)) and (
+            (ratio > limits.LEVEL_FACTOR and np.all(other > 2.0))
+            or (0 < ratio * limits.LEVEL_FACTOR < 1 and np.all(other < 0.5))
+        )
+        if turned or (alike and scaled):
+            found.append((abs(behind - before), k, turned))
+    if not found:
+        return
+    _, k, turned = max(found)
+    what, before, behind = "sign" if turned else "scale", level[k - 2], level[k + 1]
+    # The moment from which the work follows the second level rather than the first.
+    near = slice(int(turns[k - 1]), int(turns[k + 2]))
+    gain, way = np.diff(work)[near], np.abs(np.diff(x))[near]
+    moment = near.start + int(np.argmin(np.cumsum((gain - before * way) ** 2 - (gain - behind * way) ** 2))) + 1
+    message = (
+        f"the force changes its {what} at about {t[moment]:.6g} s: {before:.4g} kN along the motion before, "
+        f"{behind:.4g} kN behind it, as no device does: a cable, a range or a unit was changed; correct the force "
+        "behind it, or give the parts as files of their own"
+    )
+    yield Finding("force-changes", "unusable", message)
 
 
 def inspect(recording: Recording) -> tuple[Finding, ...]:
@@ -360,11 +401,8 @@ def _lag(recording: Recording, motion: Motion) -> Iterator[Finding]:
 
 
 def _unloading(recording: Recording, motion: Motion) -> list[tuple[int, FloatArray, FloatArray]]:
-    """Half-cycle, times and relative force drops between 5 and 60 % of the plateau, after each reversal.
-
-    Of samples that are evidence: a plateau at which the load cell is clipped, or a reading that is repeated, would seem
-    to be late.
-    """
+    """Half-cycle, times and relative force drops between 5 and 60 % of the plateau, after each reversal."""
+    # Of evidence alone: a plateau at which the load cell is clipped, or a reading that is repeated, would seem late.
     used, force, pieces = np.asarray(recording.used), recording.force_kN, []
     for k in range(1, motion.n_half):
         before, a, b = motion.start[k - 1 : k + 2].tolist()

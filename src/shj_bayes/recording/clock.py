@@ -2,7 +2,7 @@
 
 import re
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from datetime import date
 from itertools import pairwise
 
@@ -19,10 +19,8 @@ def orderly_rows(time_s: FloatArray, name: str) -> tuple[BoolArray, list[Finding
 
     `RecordingError` where more rows than a small share are out of order: then the clock is broken, not a few rows.
     """
-    findings: list[Finding] = []
-    keep = np.isfinite(time_s)
-    missing = int(np.count_nonzero(~keep))
-    if missing:
+    findings, keep = list[Finding](), np.isfinite(time_s)
+    if missing := int(np.count_nonzero(~keep)):
         findings.append(Finding("time-missing", "repaired", f"{missing} rows without a time left out", missing))
     index = np.flatnonzero(keep)
     times = time_s[index]
@@ -33,15 +31,16 @@ def orderly_rows(time_s: FloatArray, name: str) -> tuple[BoolArray, list[Finding
         return keep, findings
     repeats, back = int(np.count_nonzero(steps == 0)), int(np.count_nonzero(steps < 0))
     kept = longest_increasing(times)
-    dropped = times.size - kept.size
-    if dropped > max(3, limits.BAD_TIME_SHARE * times.size):
-        allowed, row = f"allowed are {limits.BAD_TIME_SHARE:.0%}", int(np.argmax(steps < 0))
-        if repeats >= 5 * back:
-            raise RecordingError(
-                f"{name}: time repeats in {repeats} of {times.size} rows ({allowed}); it was printed with too few "
-                "digits, or rows are there twice; export more digits and each row once, or give the sampling rate of "
-                "the rows with --rate HZ"
-            )
+    dropped, allowed = times.size - kept.size, f"allowed are {limits.BAD_TIME_SHARE:.0%}"
+    broken = dropped > max(3, limits.BAD_TIME_SHARE * times.size)
+    if broken and repeats >= 5 * back:
+        raise RecordingError(
+            f"{name}: time repeats in {repeats} of {times.size} rows ({allowed}); it was printed with too few "
+            "digits, or rows are there twice; export more digits and each row once, or give the sampling rate of "
+            "the rows with --rate HZ"
+        )
+    if broken:
+        row = int(np.argmax(steps < 0))
         raise RecordingError(
             f"{name}: time jumps back {back} times, first from {times[row]:.6g} s to {times[row + 1]:.6g} s at row "
             f"{row + 2}; {dropped} of {times.size} rows would be lost ({allowed}); export the time of the test anew, "
@@ -51,9 +50,8 @@ def orderly_rows(time_s: FloatArray, name: str) -> tuple[BoolArray, list[Finding
     keep[index[kept]] = True
     what = " and ".join([f"repeats {repeats} times"] * (repeats > 0) + [f"jumps back {back} times"] * (back > 0))
     first = times[int(np.flatnonzero(steps <= 0)[0])]
-    code = "time-jumps-back" if back else "time-repeats"
     message = f"time {what}, first after {first:.6g} s; {dropped} rows left out, the fewest that make it increase"
-    findings.append(Finding(code, "repaired", message, dropped))
+    findings.append(Finding("time-jumps-back" if back else "time-repeats", "repaired", message, dropped))
     return keep, findings
 
 
@@ -63,16 +61,12 @@ def restarts(time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArr
     Time falls back there to before the middle of the run, and stays back. A clock that falls back while displacement
     and force go on is a counter that overflowed, and is left to `orderly_rows`.
     """
-    index = np.flatnonzero(np.isfinite(time_s))
-    times = time_s[index]
-    found: list[int] = []
-    begin = 0
+    index, n = np.flatnonzero(np.isfinite(time_s)), limits.MIN_SAMPLES
+    times, found, begin = time_s[index], list[int](), 0
     for k in (np.flatnonzero(np.diff(times) < 0) + 1).tolist():
-        if k - begin < limits.MIN_SAMPLES or times.size - k < limits.MIN_SAMPLES:
+        if min(k - begin, times.size - k) < n:
             continue
-        first, last, after = (
-            float(np.median(times[a : a + limits.MIN_SAMPLES])) for a in (begin, k - limits.MIN_SAMPLES, k)
-        )  # medians, since single times may be wrong
+        first, last, after = (np.median(times[a : a + n]) for a in (begin, k - n, k))  # single times may be wrong
         if after < 0.5 * (first + last) and not _goes_on(displacement_mm, force_kN, int(index[k])):
             found.append(int(index[k]))
             begin = k
@@ -141,30 +135,44 @@ def _in_cycle(x: FloatArray, f: FloatArray, row: int) -> bool:
     return not (at_home and still)
 
 
-def follow_on(time_s: FloatArray, rows: list[int]) -> tuple[FloatArray, list[float]]:
-    """Put runs behind one another on one clock; `rows` are the first of each run after the first.
+def one_clock(
+    time_s: FloatArray, displacement_mm: FloatArray, force_kN: FloatArray, run_rows: Sequence[int]
+) -> tuple[FloatArray, list[tuple[float, float]], list[Finding]]:
+    """Put all rows on one clock, s; `run_rows` are those at which a run column says that a further run begins.
 
-    Times, shape (n_rows,), s, and what was added to those of each run after the first; 0 where its clock goes on.
+    Times, shape (n_rows,); the first time of each further run, and what was added to its times; what to say.
     """
-    out, shifts = time_s.copy(), list[float]()
-    for a, b in pairwise([*rows, time_s.size]):
-        before, own = out[:a][np.isfinite(out[:a])], out[a:b][np.isfinite(out[a:b])]
-        if before.size < 2 or own.size < 1:
-            shifts.append(0.0)
-            continue
-        last = before[-limits.MIN_SAMPLES :]
-        step = float(np.median(np.abs(np.diff(last))))
-        end = float(np.median(last)) + last.size * step
-        shifts.append(0.0 if own[0] > before[-1] else end + limits.RESTART_GAP_STEPS * step - float(own[0]))
-        out[a:b] += shifts[-1]
-    return out, shifts
+    out, cycles, findings = time_s.copy(), list[int](), list[Finding]()
+    for a, b in pairwise([0, *run_rows, out.size]):  # a clock goes on over the cycles of each run
+        out[a:b], found = going_on(out[a:b], displacement_mm[a:b], force_kN[a:b])
+        cycles += [a + row for row in found]
+    if cycles:
+        message = (
+            f"time begins again {len(cycles)} times, first at row {cycles[0] + 1}, while the device moves on: read as "
+            "one run, with the usual step between"
+        )
+        findings.append(Finding("time-cycles", "assumed", message, len(cycles)))
+    again = restarts(out, displacement_mm, force_kN)
+    rows = sorted({*again, *run_rows})
+    if again:
+        where = f"at row {again[0] + 1}" if len(again) == 1 else f"{len(again)} times, first at row {again[0] + 1}"
+        message = f"time begins again {where}: {len(rows) + 1} runs, put one behind the other"
+        findings.append(Finding("time-restarts", "assumed", message, len(again)))
+    begins = []
+    for a, b in pairwise([*rows, out.size]):
+        before, own, shift = out[:a][np.isfinite(out[:a])], out[a:b][np.isfinite(out[a:b])], 0.0
+        if before.size > 1 and own.size and own[0] <= before[-1]:
+            last = before[-limits.MIN_SAMPLES :]
+            step = float(np.median(np.abs(np.diff(last))))
+            shift = float(np.median(last)) + last.size * step + limits.RESTART_GAP_STEPS * step - float(own[0])
+        out[a:b] += shift
+        begins.append((a, shift))
+    timed = np.flatnonzero(np.isfinite(out))
+    return out, [(float(out[timed[np.searchsorted(timed, row)]]), shift) for row, shift in begins], findings
 
 
 def longest_increasing(values: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    """Find the indices of a longest strictly increasing subsequence of values without NaN, shape (n,).
-
-    A single time that is far too large costs one row, not all that follow it.
-    """
+    """Find the indices of a longest strictly increasing subsequence (no NaN): one odd time costs one row."""
     tails: list[float] = []
     at: list[int] = []
     previous = np.full(values.size, -1, dtype=np.int64)
@@ -189,33 +197,25 @@ def step_spread(time_s: FloatArray) -> float:
 
 
 def clock_findings(time_s: FloatArray, displacement_mm: FloatArray) -> list[Finding]:
-    """Jitter, gaps and an unlikely duration of strictly increasing times; nothing is changed.
-
-    The displacement says how far the device moved in a gap.
-    """
-    steps = np.diff(time_s)
-    median = float(np.median(steps))
-    findings: list[Finding] = []
-    spread = step_spread(time_s)
+    """Jitter, gaps and an unlikely duration of strictly increasing times; the displacement moves in gaps."""
+    steps, spread, findings = np.diff(time_s), step_spread(time_s), list[Finding]()
+    median, duration = float(np.median(steps)), float(time_s[-1] - time_s[0])
     if spread > limits.JITTER_SHARE:
-        message = (
-            f"time steps vary by {spread:.0%} of their median {1e3 * median:.4g} ms; each sample keeps its own time"
-        )
-        findings.append(Finding("jitter", "note", message))
+        message = f"time steps vary by {spread:.0%} of their median {1e3 * median:.4g} ms"
+        findings.append(Finding("jitter", "note", f"{message}; each sample keeps its own time"))
     gaps = np.flatnonzero(steps > limits.GAP_STEPS * median)
     if gaps.size:
         worst = int(gaps[np.argmax(steps[gaps])])
         moved = float(np.max(np.abs(np.diff(displacement_mm)[gaps])))
         share = moved / max(float(np.ptp(displacement_mm)), 1e-300)
         loud = gaps.size > max(1, limits.MANY_GAPS_SHARE * steps.size) or share > 0.1
-        plural = "s" if gaps.size > 1 else ""
         message = (
-            f"{gaps.size} gap{plural} in time, the longest {steps[worst]:.4g} s at {time_s[worst]:.6g} s "
-            f"(step {median:.4g} s), with up to {moved:.3g} mm moved; noise and smoothing restart after each"
+            f"{gaps.size} gap{'s' if gaps.size > 1 else ''} in time, the longest {steps[worst]:.4g} s at "
+            f"{time_s[worst]:.6g} s (step {median:.4g} s), with up to {moved:.3g} mm moved; noise and smoothing "
+            "restart after each"
         )
         findings.append(Finding("gaps", "warning" if loud else "note", message, int(gaps.size)))
-    if time_s[-1] - time_s[0] > limits.MAX_DURATION_S:
-        duration = time_s[-1] - time_s[0]
+    if duration > limits.MAX_DURATION_S:
         message = f"the recording lasts {duration:.4g} s, over a week; is the time in ms? Then use --units time=ms"
         findings.append(Finding("time-unit", "warning", message))
     return findings
@@ -287,10 +287,7 @@ class Stamps:
         return whole - shift, at
 
     def days(self) -> FloatArray:
-        """Days since the earliest date, NaN where there is none; shape (n_rows,).
-
-        Where day and month may be exchanged, in the order that makes the test shortest.
-        """
+        """Days since the earliest date, NaN where there is none; day and month in the order of the shortest test."""
         which = np.concatenate(self.dates)
         found = [numbers for order in ("ymd", "dmy", "mdy") if (numbers := _ordinals(self.known, order))]
         if not found:

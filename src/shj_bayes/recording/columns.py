@@ -71,9 +71,7 @@ def choose(
 
     `RecordingError` if a channel is missing, ambiguous or in a unit that is not its own.
     """
-    asked = parse_columns(columns)
-    given = parse_units(units)
-    findings: list[Finding] = []
+    asked, given, findings = parse_columns(columns), parse_units(units), list[Finding]()
     own = _own_times(table, asked)
     apart = own is not None and not same_clock(*own)
     if own is not None and apart and (rate_Hz is not None or "time" in asked):
@@ -89,8 +87,8 @@ def choose(
     timed = own is not None and (apart or (rate_Hz is None and "time" not in asked and not one_time))
     roles = [role for role in ROLES if role != "time" or rate_Hz is None]
     values, chosen = _columns(table, [role for role in roles if role != "time" or not timed], asked, findings)
-    axis_s = None if own is None else own[0]
-    if own is not None and apart:
+    axis_s = own[0] if own else None
+    if own and apart:
         axis_s = _laid(values, own, table.name, findings)
     if timed and axis_s is not None:
         told = all(column.clock_told for value in values.values() for column in value.made_of)
@@ -98,14 +96,11 @@ def choose(
         values["time"] = Column("time", axis_s, "s" if told else None)
         given = {role: unit for role, unit in given.items() if role != "time" or not told}
     n = _length(values, table)
-    used: dict[str, str] = {}
-    arrays: dict[Role, FloatArray] = {}
+    used, arrays = dict[str, str](), dict[Role, FloatArray]()
     if rate_Hz is not None:
         arrays["time"], used["time"], chosen["time"] = np.arange(n) / rate_Hz, "s", f"sample number / {rate_Hz:g} Hz"
-        message = (
-            f"no time column is read: a constant rate of {rate_Hz:g} Hz is assumed, as given; speeds are as good as it"
-        )
-        findings.append(Finding("rate-given", "assumed", message))
+        message = f"no time column is read: a constant rate of {rate_Hz:g} Hz is assumed, as given"
+        findings.append(Finding("rate-given", "assumed", f"{message}; speeds are as good as it"))
     for role in roles:
         missing = f"{table.name} gives no unit for {chosen[role]!r}"
         used[role] = unit = _unit(role, values[role], given, findings, missing)
@@ -113,34 +108,32 @@ def choose(
         if role == "force" and is_weight(unit):
             message = f"force: 1 {unit} is taken for the weight of that mass, {scale:.6g} kN"
             findings.append(Finding("unit-weight", "assumed", message))
-        scaled = np.asarray(values[role].values * scale, dtype=np.float64)
-        arrays[role] = _steps(scaled, n, chosen[role], findings) if role == "time" else scaled
+        arrays[role] = np.asarray(values[role].values * scale, dtype=np.float64)
+    if not arrays["time"].ndim:  # a sampling interval
+        step, name = float(arrays["time"]), chosen["time"] or "wf_increment"
+        if not 0 < step < np.inf:
+            raise RecordingError(f"time: the sampling interval {name} is {step:g} s; it must be above zero")
+        arrays["time"] = np.arange(n, dtype=np.float64) * step
+        message = f"time is made from the constant interval {name} = {step:g} s"
+        findings.append(Finding("time-from-step", "assumed", message))
     others = {name: evaluate(text, table) for name, text in asked.items() if name not in ROLES}
     extras = tuple(_extra(name, value, axis_s, n, table) for name, value in others.items())
-    run, run_rows = _run_column(table, values)
-    if run is not None:
-        if run.clock_s is not None and axis_s is not None and apart:
-            run_rows = tuple(np.searchsorted(axis_s, run.clock_s[list(run_rows)]).tolist())
-        message = f"column {run.label!r} numbers {len(run_rows) + 1} runs"
-        findings.append(Finding("run-column", "assumed", message))
-    _note_ignored(table, [*values.values(), *others.values()], run, findings)
-    assumed = frozenset(
-        role
-        for role in ROLES
-        if role not in given and role in values and values[role].values.ndim and not values[role].unit
-    )
+    run, run_rows = _run_column(table, values, axis_s if apart else None, findings)
+    read = [run, *(column for value in (*values.values(), *others.values()) for column in value.made_of)]
+    known = {id(one) for column in read if column for one in (column, column.clock_s)}
+    rest = [c for c in table.columns if known.isdisjoint((id(c), id(c.values)))]
+    if names := [(c.header if table.has_header else "") or c.name for c in rest]:
+        findings.append(Finding("columns-ignored", "note", f"columns not used: {listed(names)}"))
     return RawChannels(
-        arrays["time"],
-        arrays["displacement"],
-        arrays["force"],
-        chosen,
-        used,
-        tuple(findings),
-        frozenset(asked),
-        assumed,
-        frozenset(roles) - assumed - frozenset(given),
-        run_rows,
-        extras,
+        **{f"{role}_{TARGET[role]}": arrays[role] for role in ROLES},
+        columns=chosen,
+        units=used,
+        findings=tuple(findings),
+        named=frozenset(asked),
+        assumed=frozenset(r for r in roles if r not in given and values[r].values.ndim and not values[r].unit),
+        told=frozenset(r for r in roles if r not in given and (values[r].unit or not values[r].values.ndim)),
+        run_rows=run_rows,
+        extras=extras,
     )
 
 
@@ -248,10 +241,7 @@ def _extra(name: str, value: Column, axis_s: FloatArray | None, n: int, table: T
 
 
 def parse_columns(option: str | None) -> dict[str, str]:
-    """Read ``--columns``: column name, number or formula by role, or by name of a further channel.
-
-    Commas inside a name of a column are allowed.
-    """
+    """Read ``--columns``: name, number or formula by role or name of a further channel; names may have commas."""
     found: dict[str, str] = {}
     for part in re.split(r",(?=\s*\w+\s*=)", option or ""):
         if not part.strip():
@@ -280,10 +270,7 @@ def candidates(table: Table, role: Role) -> tuple[list[Column], bool]:
 
 
 def by_header(table: Table, role: Role, findings: list[Finding]) -> Column | None:
-    """Find a channel by its header; None where none fits, `RecordingError` where several fit equally well.
-
-    A match by a word in a longer header is a finding.
-    """
+    """Find a channel by its header, None where none fits; `RecordingError` where several fit equally well."""
     found, exact = candidates(table, role)
     if len(found) > 1:
         groups = list(dict.fromkeys(c.group for c in found if c.group))
@@ -368,20 +355,6 @@ def _length(values: dict[Role, Column], table: Table) -> int:
     return sizes["displacement"]
 
 
-def _steps(scaled: FloatArray, n: int, name: str, findings: list[Finding]) -> FloatArray:
-    """Time from a sampling interval when a single number was named."""
-    if scaled.ndim:
-        return scaled
-    step = float(scaled)
-    if not (np.isfinite(step) and step > 0):
-        raise RecordingError(
-            f"time: the sampling interval {name or 'wf_increment'} is {step:g} s; it must be above zero"
-        )
-    message = f"time is made from the constant interval {name or 'wf_increment'} = {step:g} s"
-    findings.append(Finding("time-from-step", "assumed", message))
-    return np.asarray(np.arange(n) * step, dtype=np.float64)
-
-
 def _unit(role: Role, value: Column, given: dict[Role, str], findings: list[Finding], missing: str) -> str:
     """Take the unit by option, else by header, else the tool's own, which is said aloud: `missing` begins the words."""
     header = value.unit
@@ -407,27 +380,23 @@ def _factor(unit: str, role: Role, column: str, table: Table) -> float:
         raise RecordingError(f"{table.name}, column {column!r}: {error}") from error
 
 
-def _run_column(table: Table, values: dict[Role, Column]) -> tuple[Column | None, tuple[int, ...]]:
-    """Column that numbers the runs, and the rows at which its number changes; None where no column does."""
+def _run_column(
+    table: Table, values: dict[Role, Column], axis_s: FloatArray | None, findings: list[Finding]
+) -> tuple[Column | None, tuple[int, ...]]:
+    """Column that numbers the runs, and the rows, or instants of an axis, at which its number changes."""
     used = {id(column) for value in values.values() for column in value.made_of}
     for column in table.columns:
         if _words(column.name) not in _RUN or id(column) in used:
             continue
         rows = np.flatnonzero(np.isfinite(column.values))
         change = np.flatnonzero(np.diff(column.values[rows])) + 1
-        edges = [0, *change.tolist(), rows.size]
         numbers = column.values[rows[[0, *change.tolist()]]] if rows.size else np.zeros(0)
+        shortest = np.min(np.diff([0, *change.tolist(), rows.size]))
         # A number that comes again, or for a few rows only, counts something else.
-        if change.size and np.unique(numbers).size == numbers.size and np.min(np.diff(edges)) >= limits.MIN_SAMPLES:
-            return column, tuple(rows[change].tolist())
+        if change.size and np.unique(numbers).size == numbers.size and shortest >= limits.MIN_SAMPLES:
+            findings.append(Finding("run-column", "assumed", f"column {column.label!r} numbers {numbers.size} runs"))
+            at = rows[change]
+            if column.clock_s is not None and axis_s is not None:
+                at = np.searchsorted(axis_s, column.clock_s[at])
+            return column, tuple(at.tolist())
     return None, ()
-
-
-def _note_ignored(table: Table, values: Sequence[Column], run: Column | None, findings: list[Finding]) -> None:
-    """List the columns that were not used."""
-    used = {id(column) for value in values for column in value.made_of} | {id(run)}
-    clocks = {id(column.clock_s) for value in values for column in value.made_of if column.clock_s is not None}
-    others = [c for c in table.columns if id(c) not in used and id(c.values) not in clocks]
-    rest = [(c.header if table.has_header else "") or c.name for c in others]
-    if rest:
-        findings.append(Finding("columns-ignored", "note", f"columns not used: {listed(rest)}"))

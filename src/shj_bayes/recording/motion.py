@@ -270,9 +270,14 @@ def place(
     times, places, corners = np.empty(len(turns)), np.empty(len(turns)), []
     edges = [0, *turns, raw.size - 1]
     for k, index in enumerate(turns):
-        before, after = edges[k], edges[k + 2]
-        lo, hi = _neighbourhood(smoothed, before, index, after)
-        peak = bool(smoothed[index] > smoothed[before])
+        before, after, top = edges[k], edges[k + 2], smoothed[index]
+        # The samples on both sides that lie within a share of the shorter stroke of the extreme.
+        reach = NEAR * min(abs(top - smoothed[before]), abs(top - smoothed[after]))
+        left = np.flatnonzero(np.abs(smoothed[before : index + 1] - top) > reach)
+        right = np.flatnonzero(np.abs(smoothed[index : after + 1] - top) > reach)
+        lo = before + int(left[-1]) + 1 if left.size else before
+        hi = max(index + int(right[0]) - 1 if right.size else after, index)
+        peak = bool(top > smoothed[before])
         around = lo, index, hi
         at_kink = bool(np.any((kinks_s > time_s[lo]) & (kinks_s < time_s[hi])))
         rest = _rest(time_s, raw, smoothed, around, noise) if at_kink else None
@@ -312,16 +317,6 @@ def unfolded(time_s: FloatArray, corners: list[Corner]) -> tuple[FloatArray, Flo
     return np.asarray(direction[passed]), np.asarray(offset[passed]), level, slope
 
 
-def _neighbourhood(smoothed: FloatArray, before: int, index: int, after: int) -> tuple[int, int]:
-    """Find the samples on both sides of an extreme that lie within a share of the shorter stroke of it."""
-    reach = NEAR * min(abs(smoothed[index] - smoothed[before]), abs(smoothed[index] - smoothed[after]))
-    left = np.flatnonzero(np.abs(smoothed[before : index + 1] - smoothed[index]) > reach)
-    right = np.flatnonzero(np.abs(smoothed[index : after + 1] - smoothed[index]) > reach)
-    lo = before + int(left[-1]) + 1 if left.size else before
-    hi = index + int(right[0]) - 1 if right.size else after
-    return lo, max(hi, index)
-
-
 def degree_for(n: int) -> int:
     """Degree of the polynomial through n samples around a reversal: what a quartic misses of a sine shows in many."""
     return 4 if n < _MANY_POINTS else 6
@@ -330,10 +325,7 @@ def degree_for(n: int) -> int:
 def _quartic(
     time_s: FloatArray, raw: FloatArray, lo: int, hi: int, noise: float, peak: bool
 ) -> tuple[float, float, float] | None:
-    """Extreme of a quartic (of degree six, where there are many) through samples lo..hi, and its residual, mm.
-
-    None when it does not fit.
-    """
+    """Extreme of a quartic through samples lo..hi, and its residual, mm; None when it does not fit."""
     if hi - lo + 1 < _MIN_POINTS:
         return None
     together = max(1, (hi - lo + 1) // _MAX_POINTS)  # means of neighbours: a few hundred points hold all samples
@@ -362,11 +354,7 @@ def _quartic(
 def _rest(
     time_s: FloatArray, raw: FloatArray, smoothed: FloatArray, around: tuple[int, int, int], noise: float
 ) -> tuple[float, float] | None:
-    """End and level of a rest; None when the samples near the extreme are few.
-
-    The smoothed extreme of a long rest is that of its noise, several standard deviations beyond where the device stood,
-    and beside a slow motion a smoothing window is longer than the rest.
-    """
+    """End and level of a rest, whose smoothed extreme is that of its noise; None when samples near it are few."""
     lo, index, hi = around
     level = float(smoothed[index])
     near = max(_AT_REST * noise, _STILL * float(np.ptp(raw)))
@@ -385,11 +373,7 @@ def _rest(
 
 
 def _departure(time_s: FloatArray, raw: FloatArray, rest: tuple[int, int, int], level: float, near: float) -> float:
-    """When the motion back begins, s: its distance from the rest grows with the time or with its square, from 0.
-
-    The moment at which one of these fits best, by least squares. A smoothed displacement leaves a rest before the
-    device does, and stays within the noise of the rest for long where the device leaves slowly.
-    """
+    """When the motion back begins, s: where a distance that grows with the time or its square fits best, from 0."""
     first, last, hi = rest
     gone = np.flatnonzero(np.abs(raw[last : hi + 1] - level) > _WELL_AWAY * near)
     end = min(hi, last + max(int(gone[0]) if gone.size else hi - last, _MIN_POINTS))
@@ -410,10 +394,7 @@ def _departure(time_s: FloatArray, raw: FloatArray, rest: tuple[int, int, int], 
 def _between_samples(
     time_s: FloatArray, smoothed: FloatArray, velocity: FloatArray, around: tuple[int, int, int], peak: bool
 ) -> tuple[float, float]:
-    """Extreme of the cubic through the smoothed positions and velocities next to the extreme sample.
-
-    At nine samples a half-cycle the extreme sample itself is up to 1.4 % of the amplitude short of the turning point.
-    """
+    """Extreme of the cubic through the smoothed neighbours; at nine samples a half-cycle it is 1.4 % beyond them."""
     lo, index, hi = around
     near = slice(max(lo, index - 1), min(hi, index + 1) + 1)
     if near.stop - near.start < 2:
@@ -448,12 +429,11 @@ def _corner(
 def _lines(time_s: FloatArray, raw: FloatArray, around: tuple[int, int, int, int, int], noise: float) -> Corner | None:
     """Two straight lines that meet at an extreme, rounded or not; None where they do not fit.
 
-    `around` are the neighbouring reversals, outermost, the samples near the extreme, and the extreme. Where few samples
-    are near, lines are fitted to more, since a line is as straight farther away; not to the neighbouring reversals,
-    which are rounded too.
+    `around` are the neighbouring reversals, outermost, the samples near the extreme, and the extreme.
     """
     from scipy.optimize import least_squares  # noqa: PLC0415  (most recordings have no corners)
 
+    # Of few samples lines go on to more, since a line is as straight farther away; not to the next, rounded reversals.
     before, lo, index, hi, after = around
     lo = min(lo, max(before + (before > 0), index - _LINE_POINTS))
     hi = max(hi, min(after - (after < raw.size - 1), index + _LINE_POINTS))
@@ -529,11 +509,20 @@ def _motion(recording: Recording) -> Motion:
         straight = smooth(time, way * (raw - rounded) + offset, noise, resolution, turns)
         x, v = way * (straight.values - offset) + rounded, way * straight.velocity + rounded_v
         curve = straight._replace(values=x, velocity=v)
-    start = _boundaries(time, turn_s)
+    start = np.concatenate([[0], np.searchsorted(time, turn_s, side="left"), [time.size]]).astype(np.int64)
+    for k in range(1, start.size - 1):  # every half-cycle keeps at least one sample
+        start[k] = min(max(start[k], start[k - 1] + 1), time.size - (start.size - 1 - k))
     grows = curve.values[turns[0] if turns else -1] >= curve.values[0]
     direction = alternating(start.size - 1, 1 if grows else -1)
-    turning = np.concatenate([[curve.values[0]], turn_mm])
-    displacement = _between(curve.values, turning, start)
+    turning, displacement = np.concatenate([[curve.values[0]], turn_mm]), curve.values
+    if turns:
+        # Each half-cycle stays between its turning points: slip against its direction is noise. The first may start
+        # with a rest and the last ends nowhere in particular: only their reversal binds.
+        away = np.copysign(np.inf, np.diff(turning))
+        ends = np.concatenate([-away[:1], turning[1:], -away[-1:]])
+        low, high = np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
+        n_samples = np.diff(start)
+        displacement = np.clip(displacement, np.repeat(low, n_samples), np.repeat(high, n_samples))
     along = np.repeat(direction, np.diff(start))
     # Speed against the half-cycle is noise at rest; cut at zero it biases |v| half as much as the absolute value.
     speed = np.maximum(along * curve.velocity, 0.0)
@@ -558,9 +547,8 @@ def _unsure(
 ) -> BoolArray:
     """Mark samples of which it is not known on which side of a reversal they lie.
 
-    The time at which a noisy displacement turns is known to three standard deviations of the velocity over the
-    acceleration, and to one sample. At the reversal Eq. (1) as published jumps by several kN, so such samples would
-    tell of the clock, not of the device: with 0.02 mm noise they cost 480 units of log likelihood at 20 Hz.
+    The time of a turn is known to three standard deviations of the velocity over the acceleration, and to one sample.
+    There Eq. (1) as published jumps: with 0.02 mm noise such samples cost 480 units of log likelihood at 20 Hz.
     """
     step = float(np.median(np.diff(time)))
     out = np.zeros(time.size, dtype=np.bool_)
@@ -608,33 +596,11 @@ def blind_stretches(recording: Recording, motion: Motion) -> list[tuple[int, int
     return stretches
 
 
-def _boundaries(time: FloatArray, turn_s: FloatArray) -> IntArray:
-    """First sample at or after each turning time; every half-cycle keeps at least one sample."""
-    start = np.concatenate([[0], np.searchsorted(time, turn_s, side="left"), [time.size]]).astype(np.int64)
-    for k in range(1, start.size - 1):
-        start[k] = min(max(start[k], start[k - 1] + 1), time.size - (start.size - 1 - k))
-    return start
-
-
-def _between(values: FloatArray, turning: FloatArray, start: IntArray) -> FloatArray:
-    """Keep each half-cycle between its turning points: slip against its direction is noise."""
-    if turning.size < 2:
-        return values
-    # The first half-cycle may start with a rest and the last ends nowhere in particular: only their reversal binds.
-    away = np.copysign(np.inf, np.diff(turning))
-    ends = np.concatenate([-away[:1], turning[1:], -away[-1:]])
-    n = np.diff(start)
-    return np.clip(values, np.repeat(np.minimum(ends[:-1], ends[1:]), n), np.repeat(np.maximum(ends[:-1], ends[1:]), n))
-
-
 SAME_SPEED = 0.2  # peak speeds within this share of one another count as one
 
 
 def one_peak_speed(peaks_mm_s: FloatArray) -> float | None:
-    """Give the common peak speed, mm/s, of cycles when all have the same; None when they differ.
-
-    With one peak speed a loss of friction away from mid-stroke looks like speed dependence.
-    """
+    """Give the common peak speed, mm/s, of cycles when all have the same (prying then looks like speed), else None."""
     if peaks_mm_s.size == 0:
         return None
     middle = float(np.median(peaks_mm_s))

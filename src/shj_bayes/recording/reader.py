@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.files import file_digest, need_files
 from shj_bayes._util.imports import discovered
 from shj_bayes.errors import RecordingError, plain_text
 from shj_bayes.recording import formats
 from shj_bayes.recording.checks import inspect, plausibility_findings, repair, with_exchange
-from shj_bayes.recording.clock import follow_on, going_on, restarts
-from shj_bayes.recording.columns import RawChannels, choose
+from shj_bayes.recording.clock import one_clock
+from shj_bayes.recording.columns import choose
 from shj_bayes.recording.limits import MAX_BYTES, MAX_COLUMNS, MAX_NAME, MAX_ROWS
-from shj_bayes.recording.recording import Column, Finding, Recording, Source
+from shj_bayes.recording.recording import Column, Recording, Source
 from shj_bayes.recording.rows import split_header
 from shj_bayes.recording.smoothing import at_samples
 from shj_bayes.recording.tables import Format, Table, as_floats
@@ -165,7 +163,7 @@ def read(
 def recording_of(table: Table, columns: str | None, units: str | None, rate_Hz: float | None) -> Recording:
     """Make a recording of a table and check it; arguments as for `read`."""
     channels = choose(table, columns, units, rate_Hz)
-    clock_s, begins, told = _placed_runs(channels)
+    clock_s, begins, told = one_clock(channels.time_s, channels.displacement_mm, channels.force_kN, channels.run_rows)
     time_s, displacement_mm, force_kN, used, findings = repair(
         clock_s, channels.displacement_mm, channels.force_kN, table.name
     )
@@ -189,32 +187,6 @@ def recording_of(table: Table, columns: str | None, units: str | None, rate_Hz: 
         extras=tuple(replace(e, values=at_samples(clock_s, e.values, time_s)) for e in channels.extras),
     )
     return recording.with_findings(*inspect(recording))
-
-
-def _placed_runs(channels: RawChannels) -> tuple[FloatArray, list[tuple[float, float]], list[Finding]]:
-    """Put all rows on one clock; give the first time of each further run, what was added to it, and what to say."""
-    time_s, cycles = channels.time_s.copy(), list[int]()
-    for a, b in pairwise([0, *channels.run_rows, time_s.size]):  # a clock goes on over the cycles of each run
-        time_s[a:b], found = going_on(time_s[a:b], channels.displacement_mm[a:b], channels.force_kN[a:b])
-        cycles += [a + row for row in found]
-    again = restarts(time_s, channels.displacement_mm, channels.force_kN)
-    rows = sorted({*again, *channels.run_rows})
-    clock_s, shifts = follow_on(time_s, rows)
-    timed = np.flatnonzero(np.isfinite(clock_s))
-    firsts = [float(clock_s[timed[np.searchsorted(timed, row)]]) for row in rows]
-    begins = list(zip(firsts, shifts, strict=True))
-    said: list[Finding] = []
-    if cycles:
-        message = (
-            f"time begins again {len(cycles)} times, first at row {cycles[0] + 1}, while the device moves on: read as "
-            "one run, with the usual step between"
-        )
-        said.append(Finding("time-cycles", "assumed", message, len(cycles)))
-    if not again:
-        return clock_s, begins, said
-    where = f"at row {again[0] + 1}" if len(again) == 1 else f"{len(again)} times, first at row {again[0] + 1}"
-    message = f"time begins again {where}: {len(rows) + 1} runs, put one behind the other"
-    return clock_s, begins, [*said, Finding("time-restarts", "assumed", message, len(again))]
 
 
 def read_frame(

@@ -11,8 +11,6 @@ from shj_bayes.recording import limits
 from shj_bayes.recording.clock import step_spread
 from shj_bayes.recording.recording import Finding, noise_of, resolution_of
 
-# Of seven rows, pairs to be put in order one after the other: the median ends in the middle (Devillard 1998).
-EXCHANGES = ((0, 5), (0, 3), (1, 6), (2, 4), (0, 1), (3, 5), (2, 6), (2, 3), (3, 6), (4, 5), (1, 4), (1, 3), (3, 4))
 TOGETHER = 4096  # values looked at in one call
 
 
@@ -111,7 +109,10 @@ def stopped(force_kN: FloatArray, displacement_mm: FloatArray) -> BoolArray:
     long = [(a, b) for a, b in equal if b - a >= limits.STOPPED_RUN and force_kN[a] not in extremes]
     long = [(a, b) for a, b in long if float(np.ptp(displacement_mm[a:b])) > least]
     # A rounded channel, and a plateau without noise, repeat values in every half-cycle.
-    if _length(equal) <= 1.2 * _length(long) and len(long) <= limits.STOPS:
+    held, n = _length(long), force_kN.size
+    others = np.count_nonzero(np.diff(force_kN) == 0.0) - (held - len(long))
+    noisy = held < limits.STOPPED_SHARE * n and others < limits.STOPPED_EQUAL * n
+    if _length(equal) <= 1.2 * held and (len(long) <= limits.STOPS or noisy):
         for a, b in long:
             found[a:b] = True
     return found
@@ -299,24 +300,16 @@ def _off_course(course: _Course, pull: _Course) -> tuple[BoolArray, list[int]]:
 
 
 def _outside(step: FloatArray) -> FloatArray:
-    """By how much a change is larger, or smaller, than both of its neighbours: 0 in what speeds up or slows down.
-
-    At the ends, where a motion may begin or stop between two rows, it is 0.
-    """
+    """By how much a change is outside both of its neighbours: 0 in what speeds up or slows down, and at the ends."""
     before, after = np.append(step[0], step[:-1]), np.append(step[1:], step[-1])
     return np.asarray(step - np.clip(step, np.minimum(before, after), np.maximum(before, after)))
 
 
 def _median_of_7(values: FloatArray) -> FloatArray:
-    """Median of each value and three on both sides, by a network of exchanges; beyond the ends the last value stays."""
-    padded, out = np.pad(values, 3, mode="edge"), np.empty(values.size)
-    for first in range(0, values.size, TOGETHER):  # what stays in the processor's cache
-        piece = padded[first : first + TOGETHER + 6]
-        rows = list(sliding_window_view(piece, piece.size - 6))
-        for a, b in EXCHANGES:
-            rows[a], rows[b] = np.minimum(rows[a], rows[b]), np.maximum(rows[a], rows[b])
-        out[first : first + TOGETHER] = rows[3]
-    return out
+    """Median of each value and three on both sides; beyond the ends the last value stays."""
+    windows = sliding_window_view(np.pad(values, 3, mode="edge"), 7)
+    parts = [windows[first : first + TOGETHER] for first in range(0, values.size, TOGETHER)]
+    return np.concatenate([np.partition(part, 3, axis=1)[:, 3] for part in parts])
 
 
 def _near(sizes: FloatArray, percent: float, reach: int, at: IntArray) -> FloatArray:
@@ -341,11 +334,7 @@ def _turning(x: FloatArray, off: BoolArray, limit: float) -> BoolArray:
 
 
 def _sentinels(values: FloatArray, share: float, ends: bool) -> BoolArray:
-    """Mark a value far outside all others, in runs of any length, and exactly 0, where it is left by a jump back.
-
-    `share` of the range is the least jump; `ends` says whether zeros at an end of the record, which have one jump only,
-    count as well.
-    """
+    """Mark values far outside all others, and exactly 0 (with `ends`, there too), that are left by jumps back."""
     bad = np.zeros(values.size, dtype=np.bool_)
     known = np.isfinite(values)
     if np.count_nonzero(known) < limits.MIN_SAMPLES:

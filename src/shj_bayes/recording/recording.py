@@ -20,24 +20,12 @@ Severity = Literal["note", "assumed", "repaired", "warning", "unusable"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that a check found, assumed or repaired, in words a laboratory engineer can act on.
+    """One thing that a check found, assumed or repaired, in words a laboratory engineer can act on."""
 
-    Parameters
-    ----------
-    code : str
-        Short stable name, for example ``"time-repeats"``.
-    severity : {"note", "assumed", "repaired", "warning", "unusable"}
-        What was done about it.
-    message : str
-        One sentence with values and units.
-    count : int
-        Number of samples concerned, 0 when it is not about samples.
-    """
-
-    code: str
-    severity: Severity
-    message: str
-    count: int = 0
+    code: str  # short stable name, ``"time-repeats"``
+    severity: Severity  # what was done about it
+    message: str  # one sentence with values and units
+    count: int = 0  # samples concerned, 0 when it is not about samples
 
     def __post_init__(self) -> None:
         """Take out of a message what a file may have smuggled into it."""
@@ -124,28 +112,24 @@ class Recording:
         n = np.size(self.time_s)
         for name in ("time_s", "displacement_mm", "force_kN"):
             values = frozen(getattr(self, name))
-            if values.shape != (n,):
-                raise RecordingError(f"{name} has shape {values.shape}; all channels need shape ({n},)")
-            if not np.all(np.isfinite(values)):
+            if values.shape == (n,) and not np.all(np.isfinite(values)):
                 bad = int(np.flatnonzero(~np.isfinite(values))[0])
                 raise RecordingError(
                     f"{name} is {values[bad]} at sample {bad}; fill or drop such samples before making a Recording"
                 )
             object.__setattr__(self, name, values)
-        if n < 2 or np.any(np.diff(self.time_s) <= 0):
-            raise RecordingError(f"time_s needs at least 2 strictly increasing values; got {n} samples")
-        used = frozen(np.ones(n) if self.used is None else self.used, np.bool_)
-        if used.shape != (n,):
-            raise RecordingError(f"used has shape {used.shape}; it needs shape ({n},)")
-        object.__setattr__(self, "used", used)
+        object.__setattr__(self, "used", frozen(np.ones(n) if self.used is None else self.used, np.bool_))
         extras = tuple(
             replace(one, name=plain_text(one.name), unit=plain_text(one.unit or ""), values=frozen(one.values))
             for one in self.extras
         )
         object.__setattr__(self, "extras", extras)
-        for extra in extras:
-            if extra.values.shape != (n,):
-                raise RecordingError(f"{extra.name} has shape {extra.values.shape}; all channels need shape ({n},)")
+        channels = {name: getattr(self, name) for name in ("time_s", "displacement_mm", "force_kN", "used")}
+        for name, values in {**channels, **{extra.name: extra.values for extra in extras}}.items():
+            if values.shape != (n,):
+                raise RecordingError(f"{name} has shape {values.shape}; all channels need shape ({n},)")
+        if n < 2 or np.any(np.diff(self.time_s) <= 0):
+            raise RecordingError(f"time_s needs at least 2 strictly increasing values; got {n} samples")
         edges = [0, *self.run_starts, n]
         if any(b <= a for a, b in pairwise(edges)):
             raise RecordingError(f"run_starts at samples {edges[1:-1]}; they need to increase from 1 to {n - 1}")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import islice
+from functools import lru_cache
+from itertools import compress, islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -64,6 +64,15 @@ class Dialect(NamedTuple):
             parts = line.split(self.separator, most)
         return [part.strip().strip('"').strip() for part in parts]
 
+    def numbers(self, cells: list[str]) -> int:
+        """Count the cells that are numbers."""
+        return sum(is_number(cell, self.decimal) for cell in cells)
+
+    def is_row(self, cells: list[str]) -> bool:
+        """Whether at least two cells, and half of those that are no time stamps, are numbers."""
+        numbers = self.numbers(cells)
+        return numbers > 1 and (2 * numbers >= len(cells) or 2 * numbers >= len(cells) - sum(map(is_stamp, cells)))
+
 
 def is_number(cell: str, decimal: str) -> bool:
     """Whether a cell is a number in the given way of writing, with or without groups of thousands."""
@@ -71,77 +80,62 @@ def is_number(cell: str, decimal: str) -> bool:
     return len(cell) <= MAX_CELL and bool(PLAIN[decimal].fullmatch(cell) or GROUPED[decimal].fullmatch(cell))
 
 
+@lru_cache(maxsize=8)
+def _taken_apart(line: str) -> dict[tuple[str, str], tuple[list[str], bool]]:
+    """Cells of a line, no more than a table may have, and whether it is a row of numbers, by the way of writing."""
+    cells = {separator: Dialect(separator, ".", 0, 0).cells(line, MAX_COLUMNS + 1) for separator in "\t;, "}
+    return {way: (cells[way[0]], Dialect(*way, 0, 0).is_row(cells[way[0]])) for way in _WAYS}
+
+
 def find_dialect(lines: list[str], name: str) -> Dialect:
     """Separator, decimal sign and first line of numbers, from lines without comments and empty ones.
 
     It is the first line from which numbers follow, read in the way that makes most cells numbers, then most columns.
-    Each line is taken apart once for each separator, and no further than the cells that a table may have.
     """
-    ahead: deque[dict[str, tuple[list[str], dict[str, int]]]] = deque()
     for first in range(min(len(lines), LOOK)):
-        ahead.extend(map(_taken_apart, lines[first + len(ahead) : first + 5]))
+        ahead = [_taken_apart(line) for line in lines[first : first + 5]]
         best, most = None, (0.0, 0)
-        for separator, decimal in _WAYS:
-            rows = [line[separator][0] for line in ahead]
+        for way in _WAYS:
+            rows, numeric = [line[way][0] for line in ahead], [line[way][1] for line in ahead]
             width = len(rows[0])
             if len(rows) > 1 and width == len(rows[1]) + 1 and rows[0][-1][:1].isalpha():
                 width -= 1  # a comment behind the first sample, as LabVIEW writes it
-            fits = [len(line[separator][0]) == width and line[separator][1][decimal] > 0 for line in ahead]
-            fits[0] = ahead[0][separator][1][decimal] > 0
+            fits = [numeric[0], *(len(row) == width and one for row, one in zip(rows[1:], numeric[1:], strict=True))]
             # Most of the next five lines must be numbers of one width; broken cells may come among the first.
-            if not fits[0] or sum(fits) < (len(rows) + 1) // 2:
+            if not fits[0] or 2 * sum(fits) < len(rows):
                 continue
-            if _is_label(rows[0][0], [row[0] for row, fit in zip(rows[1:], fits[1:], strict=True) if fit]):
+            # A row that begins with a word, and those below it do not, is a label: ``Interval;0.05;0.05``.
+            below = [not row[0][:1].isalpha() for row, fit in zip(rows[1:], fits[1:], strict=True) if fit]
+            label = rows[0][0]
+            if (
+                label[:1].isalpha()
+                and label.lower() != "nan"
+                and not is_stamp(label)
+                and 2 * sum(below) >= len(below) > 0
+            ):
                 continue
             filled = [cell for row in rows for cell in row if cell]
-            score = (round(sum(is_number(cell, decimal) for cell in filled) / max(1, len(filled)), 3), width)
+            numbers = sum(is_number(cell, way[1]) for cell in filled)
+            score = (round(numbers / max(1, len(filled)), 3), width)
             if score > most:
-                best, most = Dialect(separator, decimal, first, width), score
-        if best is not None:
-            if best.width > MAX_COLUMNS:
-                bounded_columns(best.cells(lines[first]), name)
-            return _without_empty_tail(best, lines)
-        ahead.popleft()
+                best, most = Dialect(*way, first, width), score
+        if best is None:
+            continue
+        width = best.width
+        if width > MAX_COLUMNS:
+            bounded_columns(best.cells(lines[first]), name)
+        sample = [best.cells(line) for line in lines[first : first + 50]]
+        while width > 2 and all(len(row) < width or row[width - 1] == "" for row in sample):
+            width -= 1  # a column that exists only because every line ends with a separator
+        return best._replace(width=width)
     raise NoNumbersError(
         f"{name}: found no rows of two or more numbers; a recording needs time, displacement and force in columns "
         f"separated by comma, semicolon, tab or blanks"
     )
 
 
-def _taken_apart(line: str) -> dict[str, tuple[list[str], dict[str, int]]]:
-    """Cells of a line by separator, and whether they are numbers by decimal sign."""
-    found = {}
-    for separator in ("\t", ";", ",", " "):
-        cells = Dialect(separator, ".", 0, 0).cells(line, MAX_COLUMNS + 1)
-        found[separator] = cells, {sign: numeric_width(cells, sign) for sign in PLAIN}
-    return found
-
-
-def _is_label(cell: str, below: list[str]) -> bool:
-    """Whether a row begins with a word and those below it do not: ``Interval;0.05;0.05`` is no row of numbers."""
-    word = cell[:1].isalpha() and cell.lower() != "nan" and not is_stamp(cell)
-    return word and bool(below) and 2 * sum(not one[:1].isalpha() for one in below) >= len(below)
-
-
-def numeric_width(cells: list[str], decimal: str) -> int:
-    """Count the cells if at least two, and half of those that are no time stamps, are numbers; else give 0."""
-    numbers = sum(is_number(cell, decimal) for cell in cells)
-    if numbers < 2 or (numbers < len(cells) / 2 and numbers < (len(cells) - sum(map(is_stamp, cells))) / 2):
-        return 0
-    return len(cells)
-
-
-def _without_empty_tail(dialect: Dialect, lines: list[str]) -> Dialect:
-    """Drop a column that exists only because every line ends with a separator."""
-    sample = [dialect.cells(line) for line in lines[dialect.first : dialect.first + 50]]
-    width = dialect.width
-    while width > 2 and all(len(row) < width or row[width - 1] == "" for row in sample):
-        width -= 1
-    return dialect._replace(width=width)
-
-
 _BRACKETED = re.compile(r"^(?P<name>.*?)[\s_,/]*[(\[{<]\s*(?P<unit>[^()\[\]{}<>]{1,24})\s*[)\]}>]\s*$")
-# Bare suffixes that are units; single letters that pint knows besides (a, d, h, t ...) are part of a name.
+# Bare suffixes that are units; single letters besides (a, d, h, t ...) are part of a name.
 _SUFFIXES = {
     *("s", "sec", "ms", "us", "mm", "cm", "m", "um", "\u00b5m", "\u03bcm", "in", "inch", "ft"),
     *("n", "kn", "mn", "lb", "lbs", "lbf", "kip", "kips", "kgf", "tonf"),
@@ -182,7 +176,7 @@ def is_unit_row(cells: list[str]) -> bool:
 
     True where every cell is empty, a dash or a usual unit, or, where units of two of these are among them,
     anything that may be a unit of another quantity: a file has channels that nobody needs. Names of two channels are
-    none, and pint, whose list takes half a second to read, is not asked about them.
+    none.
     """
     words = [split_header(cell)[0] for cell in cells if len(cell) >= _SHORTEST_NAME]
     if len(set[str]().union(*map(roles_named, words))) > 1:
@@ -220,17 +214,30 @@ def head_of(above: list[str], dialect: Dialect, line: int = 0) -> Head:
     """
     width = dialect.width
     rows = [cells for cells in (_cells(text, dialect)[:width] for text in above) if len(cells) > 1]
-    while rows and len(rows[-1]) == width and _damaged(rows, dialect.decimal):
+    numbers = [dialect.numbers(cells) for cells in rows]
+    # The last row may be the first sample with its readings lost: a number under names, or alone.
+    while rows and len(rows[-1]) == width and numbers[-1]:
+        if numbers[-1] + rows[-1].count("") < width and (len(rows) < 2 or numbers[-2]):
+            break
         rows.pop()
+        numbers.pop()
     whole = [len(cells) == width for cells in rows]
     rows = [cells + [""] * (width - len(cells)) for cells in rows]
     is_units = [is_unit_row(_unlabelled(cells)) for cells in rows]
-    names = _row_of_names(rows, whole, is_units, dialect.decimal)
-    labels = [""] * width if names is None else rows[names]
+    named = [
+        (len(set().union(*(roles_named(split_header(cell)[0]) for cell in cells))), i)
+        for i, cells in enumerate(rows)
+        if whole[i] and not is_units[i] and not numbers[i] and not any(map(is_stamp, cells))
+    ]
+    most, names = max(named, default=(0, -1))
+    if not most:  # the lowest row, but for that of the units
+        full = np.flatnonzero(whole).tolist()
+        names = full[-2] if len(full) > 1 and is_units[full[-1]] else full[-1] if full else -1
+    labels = rows[names] if names >= 0 else [""] * width
     below: list[str | None] = [None] * width
     for i, cells in enumerate(rows):
-        roles = {role_of(bare_unit(cell)) for cell in cells if cell} if is_units[i] and not whole[i] else set()
-        if is_units[i] and i != names and (whole[i] or len(roles - {None}) > 1):
+        # A row of fewer cells, as beside a word, holds units where it has those of two channels.
+        if is_units[i] and i != names and (whole[i] or len({role_of(bare_unit(cell)) for cell in cells} - {None}) > 1):
             below = [bare_unit(cell) or None for cell in _unlabelled(cells)]
     labels = ["Time" if cell.lower() in _NAME_LABELS else cell for cell in labels]
     pairs = [split_header(cell) for cell in labels]
@@ -255,29 +262,6 @@ def _cells(line: str, dialect: Dialect) -> list[str]:
 def _unlabelled(cells: list[str]) -> list[str]:
     """Cells without words such as Unit before them."""
     return ["" if " ".join(cell.lower().replace("_", " ").split()) in _UNIT_LABELS else cell for cell in cells]
-
-
-def _row_of_names(rows: list[list[str]], whole: list[bool], is_units: list[bool], decimal: str) -> int | None:
-    """Which row holds the names; None where none does."""
-    named = [
-        (len(set().union(*(roles_named(split_header(cell)[0]) for cell in cells))), i)
-        for i, cells in enumerate(rows)
-        if whole[i] and not is_units[i] and not any(is_number(cell, decimal) or is_stamp(cell) for cell in cells)
-    ]
-    most, best = max(named, default=(0, 0))
-    if most:
-        return best
-    full = np.flatnonzero(whole).tolist()
-    if len(full) > 1 and is_units[full[-1]]:
-        full.pop()
-    return full[-1] if full else None
-
-
-def _damaged(rows: list[list[str]], decimal: str) -> bool:
-    """Whether the last row is no header but the first sample with its readings lost: a number under names, or alone."""
-    numbers = [any(is_number(cell, decimal) for cell in cells) for cells in rows]
-    alone = all(cell == "" or is_number(cell, decimal) for cell in rows[-1])
-    return numbers[-1] and (alone or (len(rows) > 1 and not numbers[-2]))
 
 
 def _with_waves(head: Head, above: list[str], dialect: Dialect) -> Head:
@@ -328,27 +312,24 @@ def in_columns_of(first: Head, own: Head, file: str) -> list[tuple[int, float]]:
     left = [(name.lower(), i) for i, name in enumerate(names)]
     places = []
     for name, unit in zip(first.names, first.units, strict=True):
-        found = next(((other, i) for other, i in left if other == name.lower()), None)
+        found = next((one for one in left if one[0] == name.lower()), None)
         if found is None:
             if name and (roles_named(name) or (unit and role_of(unit))):
                 raise RecordingError(f"{where} lacks {name!r}, its columns are {', '.join(names)[:200]}; {apart}")
             places.append((-1, 1.0))
             continue
         left.remove(found)
-        places.append((found[1], _scale(unit, units[found[1]], f"{where} states {name!r}", apart)))
+        stated, scale = units[found[1]], 1.0
+        if stated is not None and stated != unit:
+            said = f"{where} states {name!r} in {stated}, the first head"
+            if unit is None:
+                raise RecordingError(f"{said} no unit; write the unit into the first head, too")
+            role = role_of(stated)
+            if role is None or role_of(unit) != role:
+                raise RecordingError(f"{said} in {unit}; {apart}")
+            scale = factor(stated, role) / factor(unit, role)
+        places.append((found[1], scale))
     return places
-
-
-def _scale(first: str | None, own: str | None, where: str, apart: str) -> float:
-    """Give the factor from the unit of a later head to that of the first; 1 where the later one states none."""
-    if own is None or own == first:
-        return 1.0
-    if first is None:
-        raise RecordingError(f"{where} in {own}, the first head no unit; write the unit into the first head, too")
-    role = role_of(own)
-    if role is None or role_of(first) != role:
-        raise RecordingError(f"{where} in {own}, the first head in {first}; {apart}")
-    return factor(own, role) / factor(first, role)
 
 
 _EMPTY = {"", "nan", "na", "n/a", "null", "none", "-", "\u2013", "\u2014", "\u2212", "inf", "-inf", "+inf", "#n/a"}
@@ -393,16 +374,13 @@ class TextColumn:
             looked = [str(cell).strip() for cell in raw.dropna().iloc[:_N_STAMPS]]
             self.stamps = Stamps() if 2 * sum(map(is_stamp, looked)) > len(looked) else None
         cells = raw
-        if self.stamps is not None:
-            cells = raw.astype("string").fillna("").str.strip()
-            values, wrong = self.stamps.add(cells.tolist())
-            wrong &= ~cells.str.lower().isin(_EMPTY).to_numpy(dtype=bool)
-        elif raw.dtype.kind in "iufb":
+        if self.stamps is None and raw.dtype.kind in "iufb":
             values = np.array(raw.to_numpy(dtype=np.float64, na_value=np.nan))
             wrong = np.isinf(values)  # 1e400: more than a number can hold
         else:
-            cells = raw.astype("string").str.strip().str.strip('"').str.strip()
-            values, wrong = self._from_text(cells)
+            cells = raw.astype("string").fillna("").str.strip().str.strip('"').str.strip()
+            values, wrong = self._from_text(cells) if self.stamps is None else self.stamps.add(cells.tolist())
+            wrong &= ~cells.str.lower().isin(_EMPTY).to_numpy(dtype=bool)
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])
             self.first = self.first if self.n_words else (str(cells.iloc[row]), self.n_rows + row + 1)
@@ -416,17 +394,15 @@ class TextColumn:
         plain = cells
         if self.decimal == ",":
             # A point in a file of decimal commas groups thousands, unless the whole column is written with points.
-            pointed = cells.str.contains(".", regex=False).fillna(False).astype(bool)
-            if pointed.any() and not cells.str.contains(",", regex=False).fillna(False).any():
+            pointed = cells.str.contains(".", regex=False)
+            if pointed.any() and not cells.str.contains(",", regex=False).any():
                 self.n_other += int(pointed.sum())
             else:
                 plain = cells.mask(pointed).str.replace(",", ".", regex=False)
         values = np.array(pd.to_numeric(plain, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan))
-        empty = (cells.isna() | cells.str.lower().isin(_EMPTY)).fillna(True).to_numpy(dtype=bool)
-        wrong = ~np.isfinite(values) & ~empty
-        texts = cells.to_numpy(dtype=object)
-        for row in np.flatnonzero(wrong):
-            number = _unusual(str(texts[row]), self.decimal)
+        wrong, texts = ~np.isfinite(values), cells.tolist()
+        for row in np.flatnonzero(wrong).tolist():
+            number = _unusual(texts[row], self.decimal)
             if number is not None:
                 values[row], wrong[row] = number, False
                 self.n_grouped += 1
@@ -453,15 +429,15 @@ class TextColumn:
 
 def _unusual(cell: str, decimal: str) -> float | None:
     """Read groups of thousands and Fortran exponents; None when the cell holds no number."""
-    if len(cell) > MAX_CELL:
+    if not is_number(cell, decimal):
         return None
-    if PLAIN[decimal].fullmatch(cell):
-        cell = cell.lower().replace("d", "e")
-    elif match := GROUPED[decimal].fullmatch(cell):
-        cell = cell.replace(match[1], "")
-    else:
-        return None
-    value = float(cell.replace(",", ".") if decimal == "," else cell)
+    grouped = GROUPED[decimal].fullmatch(cell)
+    cell = (
+        cell.lower().replace("d", "e")
+        if PLAIN[decimal].fullmatch(cell) or not grouped
+        else cell.replace(grouped[1], "")
+    )
+    value = float(cell.replace(decimal, "."))
     return value if np.isfinite(value) else None
 
 
@@ -470,8 +446,7 @@ class TextRows:
 
     def __init__(self, dialect: Dialect, head: Head, file: str, line_of: Callable[[int], int]) -> None:
         """`line_of` gives the number in the file of a line."""
-        self.head, self.file, self.line_of = head, file, line_of
-        self.dialect, self.decimal = dialect, dialect.decimal
+        self.head, self.file, self.line_of, self.dialect = head, file, line_of, dialect
         self.columns = [TextColumn(dialect.decimal) for _ in range(dialect.width)]
         self.labels = [name or f"#{i + 1}" for i, name in enumerate(head.names)]
         # where each column of the first head stands in the rows now, -1 nowhere, and the factor of its unit
@@ -495,6 +470,7 @@ class TextRows:
         while block := list(islice(source, BLOCK_ROWS)):
             if not n_read:
                 self._refuse_thousands(block)
+                self.labelled = not _is_word(self.dialect.cells(block[0])[0])
             n_read += len(block)
             if n_read > MAX_ROWS + LOOK:
                 raise RecordingError(f"{self.file} has more than {MAX_ROWS} rows; allowed are {MAX_ROWS}; export fewer")
@@ -507,19 +483,15 @@ class TextRows:
                 held = held[end:]
         # Some machines print remarks below the numbers.
         end = len(held)
-        while end > 1 and end > len(held) - LOOK and not numeric_width(self.dialect.cells(held[end - 1]), self.decimal):
+        while end > 1 and end > len(held) - LOOK and not self.dialect.is_row(self.dialect.cells(held[end - 1])):
             end -= 1
         self.below = held[end:]
         self._take(held[:end])
 
     def _take(self, lines: list[str]) -> None:
         """Take the next lines."""
-        plain = _plain(lines, self.dialect)
-        if not self.n_rows:
-            self.labelled = not _is_word(self.dialect.cells(lines[0])[0])
-        groups = [] if plain is not None else self._groups(lines)
-        begin = 0
-        for a, b in [*groups, (len(lines), len(lines))]:
+        plain, begin = _plain(lines, self.dialect), 0
+        for a, b in [*(self._groups(lines) if plain is None else []), (len(lines), len(lines))]:
             if a > begin:
                 self._rows(lines[begin:a], plain)
             if b > a:
@@ -538,15 +510,17 @@ class TextRows:
             if not _WORDY.match(line):
                 continue
             cells = self.dialect.cells(line)
-            no_row = not _is_row(cells, self.dialect)
-            if not no_row and not (self.labelled and _is_word(cells[0])):
+            # A row may begin with a word all the same: it holds a number, among as many cells, or lost readings alone.
+            whole = len(cells) == self.dialect.width or self.dialect.is_row(cells)
+            is_row = whole if self.dialect.numbers(cells) else all(cell.lower() in _EMPTY for cell in cells)
+            if is_row and not (self.labelled and _is_word(cells[0])):
                 continue
             between = lines[found[-1][1] : i] if found else []
             near = found and len(between) < _HEAD_GAP
-            if near and not any(numeric_width(self.dialect.cells(one), self.decimal) for one in between):
-                found[-1] = (found[-1][0], i + 1, no_row or found[-1][2])
+            if near and not any(self.dialect.is_row(self.dialect.cells(one)) for one in between):
+                found[-1] = (found[-1][0], i + 1, not is_row or found[-1][2])
             else:
-                found.append((i, i + 1, no_row))
+                found.append((i, i + 1, not is_row))
         return [(a, b) for a, b, no_row in found if no_row]
 
     def _change_head(self, group: list[str], row: str, at: int) -> None:
@@ -561,12 +535,11 @@ class TextRows:
             if self.places != [(i, 1.0) for i in range(len(self.places))]:
                 self.moved.append(head)
             return
-        lost = [line for line in group if len(self.dialect.cells(line)) == self.dialect.width]  # rows of lost readings
-        remarks = [line for line in group if len(self.dialect.cells(line)) != self.dialect.width]
-        if lost:
+        whole = [len(self.dialect.cells(line)) == self.dialect.width for line in group]
+        if lost := list(compress(group, whole)):  # rows of lost readings
             self._rows(lost)
-        if remarks:
-            self.remark = self.remark or remarks[0].strip()
+        remarks = [line for line, is_whole in zip(group, whole, strict=True) if not is_whole]
+        self.remark = self.remark or next((line.strip() for line in remarks), "")
         self.n_remarks += len(remarks)
         if self.n_remarks > max(MAX_WORDS, self.n_rows):
             raise RecordingError(
@@ -576,7 +549,7 @@ class TextRows:
     def _rows(self, lines: list[str], plain: list[FloatArray] | None = None) -> None:
         """Take rows; `plain` are their numbers where these were easy to read."""
         self.n_rows += len(lines)
-        plain = plain if plain is not None else _plain(lines, self.dialect)
+        plain = plain or _plain(lines, self.dialect)
         if plain is None:
             self._slowly(lines)
         else:
@@ -615,7 +588,7 @@ class TextRows:
             names=list(range(self.dialect.width)),
             usecols=read,
             index_col=False,
-            decimal=self.decimal,
+            decimal=self.dialect.decimal,
             **exact,
             skipinitialspace=True,
             on_bad_lines="skip",
@@ -633,19 +606,18 @@ class TextRows:
         suspected: dict[int, list[str]] = {i: [] for i in range(len(self.labels))}
         for line in lines[:: max(1, len(lines) // _N_LOOKED)]:
             row = self.dialect.cells(line)
-            for i, cell in enumerate(row) if numeric_width(row, self.decimal) else ():
-                if i in suspected and _is_marked(cell) and not _SUSPECT.fullmatch(cell):
-                    del suspected[i]
-                elif i in suspected and cell:
+            for i, cell in enumerate(row) if self.dialect.is_row(row) else ():
+                if _is_marked(cell) and not _SUSPECT.fullmatch(cell):
+                    suspected.pop(i, None)
+                elif i in suspected:
                     suspected[i].append(cell)
             if not suspected:  # as in nearly all files, after a few rows
                 return
         for i, cells in suspected.items():
             marked = [cell for cell in cells if _is_marked(cell)]
             bare = [cell for cell in cells if re.fullmatch(r"[+-]?[0-9]{3}", cell)]
-            if len(marked) < _MIN_SUSPECT or not bare or self.decimal not in marked[0]:
-                continue
-            if len({cell.lstrip("+-")[-4] for cell in marked}) == 1:
+            alike = len({cell.lstrip("+-")[-4] for cell in marked}) == 1
+            if len(marked) >= _MIN_SUSPECT and bare and alike and self.dialect.decimal in marked[0]:
                 both = f"column {self.labels[i]} holds both {bare[0]} and {marked[0]}"
                 raise RecordingError(
                     f"{self.file}: {both}, so {marked[0]} may be a thousand or about one; export without groups of "
@@ -674,14 +646,6 @@ class TextRows:
 
 def _is_marked(cell: str) -> bool:
     return "." in cell or "," in cell
-
-
-def _is_row(cells: list[str], dialect: Dialect) -> bool:
-    """Whether a line that begins with a word is a row all the same: it holds a number, among as many cells."""
-    n_numbers = sum(is_number(cell, dialect.decimal) for cell in cells)
-    if n_numbers == 0:
-        return all(cell.lower() in _EMPTY for cell in cells)
-    return len(cells) == dialect.width or numeric_width(cells, dialect.decimal) > 0
 
 
 def _is_word(cell: str) -> bool:

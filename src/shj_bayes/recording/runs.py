@@ -227,17 +227,14 @@ def _rests(recording: Recording, sketch: _Sketch, n_half: int) -> list[Rest]:
 
 
 def _begins_again(first: FloatArray, other: FloatArray) -> bool:
-    """Whether the strokes of a part after a rest, `other`, repeat those of the first part.
-
-    From the first stroke on; or, of a varied protocol, without its first stroke and after one or two strokes back from
-    where the part before was cut off.
-    """
+    """Whether the strokes of a part after a rest, `other`, repeat those of the first: from the first on, or varied."""
 
     def alike(first: FloatArray, other: FloatArray) -> bool:
         n = min(first.size, other.size)  # as far as both go
         limit = limits.SAME_STROKE * np.maximum(first[:n], 0.2 * float(np.max(first, initial=0.0)))
         return n >= limits.FEW_HALF_CYCLES - 1 and bool(np.all(np.abs(first[:n] - other[:n]) <= limit))
 
+    # Of a varied protocol without its first stroke, after one or two strokes back from where the part before was cut.
     full = first[1:]
     return alike(first, other) or (_varied(full) and any(alike(full, other[back:]) for back in (1, 2)))
 

@@ -11,19 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from shj_bayes._util.arrays import BoolArray, FloatArray, freeze, frozen
-from shj_bayes.recording.limits import (
-    BIAS_RANGE,
-    BIAS_SHARE,
-    CHANNEL_CELLS,
-    CHANNEL_FOLLOWS,
-    CHANNEL_GAP,
-    CHANNEL_NOISE,
-    GAP_STEPS,
-    KINK_Z,
-    LOCAL_SD,
-    SHORTEST_SHARE,
-)
+from shj_bayes._util.arrays import FloatArray, freeze, frozen
+from shj_bayes.recording import limits
 from shj_bayes.recording.recording import Column
 
 
@@ -141,16 +130,16 @@ def smooth(time_s: FloatArray, values: FloatArray, noise: float, resolution: flo
     samples = Samples(time_s, values, noise, float(np.median(np.diff(time_s))))
     # Neighbouring windows differ by the rounding error of a slow staircase without any bias, and noise that is not
     # white is larger than its third differences tell; a ten-thousandth of the range is no bias that a loop shows.
-    coloured = min(BIAS_RANGE * float(np.ptp(values)), 4.0 * noise)
-    allowed = max(BIAS_SHARE * noise, coloured, resolution / float(np.sqrt(12.0)))
+    coloured = min(limits.BIAS_RANGE * float(np.ptp(values)), 4.0 * noise)
+    allowed = max(limits.BIAS_SHARE * noise, coloured, resolution / float(np.sqrt(12.0)))
     edges = np.concatenate([[time_s[0]], time_s[turns], [time_s[-1]]])
     half_s = choose_half_width(samples, allowed, edges)
     grid = samples.grid(half_s)
     half = max(2, round(half_s / grid.step))
     kinks_s = grid.time_s[find_kinks(grid, half, allowed, resolution)]
-    long = np.flatnonzero(np.diff(time_s) > max(GAP_STEPS * samples.step, grid.step))
+    long = np.flatnonzero(np.diff(time_s) > max(limits.GAP_STEPS * samples.step, grid.step))
     stops = np.sort(np.concatenate([kinks_s, time_s[long], time_s[long + 1]]))
-    widths = widen(samples, max(BIAS_SHARE * noise, resolution / float(np.sqrt(12.0))), edges, half_s, stops)
+    widths = widen(samples, max(limits.BIAS_SHARE * noise, resolution / float(np.sqrt(12.0))), edges, half_s, stops)
     of_sample = widths[np.searchsorted(time_s[turns], time_s, side="right")]
     narrowest = max(2.0 * samples.step, half_s / NARROWEST)
     position, velocity, error = _narrowed(samples, of_sample, stops, max(allowed, 2.0 * resolution), narrowest)
@@ -171,37 +160,31 @@ def _narrowed(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Position, velocity and its standard deviation with the given windows, narrower where the curve bends at once.
 
-    A half-cycle may hold a rest, or a block may begin within it: the motion then changes within a second what it kept
-    for a minute, and the window that suits the rest of the half-cycle is wrong by up to a millimetre there. From the
-    narrowest window up, each sample keeps the widest whose curve no narrower one contradicts by more than
-    `LOCAL_SD` standard deviations of their difference (Lepski's rule: Goldenshluger and Nemirovski 1997, Mathematical
-    Methods of Statistics 6, 135-170), in its neighbourhood as well, since a bias swings through zero.
+    Beside a rest, or where a block begins within a half-cycle, its window is wrong by up to a millimetre. So each
+    sample keeps the widest window whose curve no narrower one contradicts by `LOCAL_SD` standard deviations, there and
+    nearby (Lepski's rule: Goldenshluger and Nemirovski 1997, Mathematical Methods of Statistics 6, 135-170).
     """
     ladder = [float(np.max(of_sample))]
-    while ladder[-1] / 1.5 >= narrowest:
-        ladder.append(ladder[-1] / 1.5)
-    ladder.reverse()
+    while ladder[0] / 1.5 >= narrowest:
+        ladder.insert(0, ladder[0] / 1.5)
     position, velocity, sd = _curve(samples, ladder[0], stops)
     error = np.full(position.size, sd[1])
     # Intersection of what the narrower windows allow. The wider window holds their samples: the difference varies less
     # than the narrower estimate itself.
-    low, high = position - allowed - LOCAL_SD * sd[0], position + allowed + LOCAL_SD * sd[0]
-    agrees = np.ones(position.size, dtype=np.bool_)
+    low, high = position - allowed - limits.LOCAL_SD * sd[0], position + allowed + limits.LOCAL_SD * sd[0]
+    agrees, index = np.ones(position.size, dtype=np.bool_), np.arange(position.size)
     for width in ladder[1:]:
         x, v, sd = _curve(samples, width, stops)
         agrees &= (low <= x) & (x <= high)
-        mine = (width <= of_sample * 1.01) & _all_within(agrees, round(width / samples.step) // 2)
+        reach, against = round(width / samples.step) // 2, np.append(0, np.cumsum(~agrees))
+        near = against[np.minimum(index + reach + 1, index.size)] - against[np.maximum(index - reach, 0)]
+        mine = (width <= of_sample * 1.01) & (near == 0)
         position[mine], velocity[mine], error[mine] = x[mine], v[mine], sd[1]
-        low, high = np.maximum(low, x - allowed - LOCAL_SD * sd[0]), np.minimum(high, x + allowed + LOCAL_SD * sd[0])
+        low, high = (
+            np.maximum(low, x - allowed - limits.LOCAL_SD * sd[0]),
+            np.minimum(high, x + allowed + limits.LOCAL_SD * sd[0]),
+        )
     return position, velocity, error
-
-
-def _all_within(true: BoolArray, reach: int) -> BoolArray:
-    """Whether all samples within so many of each one are true."""
-    false = np.concatenate([[0], np.cumsum(~true)])
-    index = np.arange(true.size)
-    last = np.minimum(index + reach + 1, true.size)
-    return np.asarray(false[last] == false[np.maximum(index - reach, 0)])
 
 
 def _curve(samples: Samples, half_s: float, stops: FloatArray) -> tuple[FloatArray, FloatArray, tuple[float, float]]:
@@ -219,18 +202,15 @@ def _curve(samples: Samples, half_s: float, stops: FloatArray) -> tuple[FloatArr
 def widen(samples: Samples, allowed: float, edges: FloatArray, half_s: float, stops: FloatArray) -> FloatArray:
     """Half of the window of each half-cycle, s: wider ones for slow half-cycles, by the rule of `choose_half_width`.
 
-    One window for all would be set by the fastest block: at Table 1 the slow blocks would keep four times the noise in
-    displacement and speed, which showed as a bias of 3 standard deviations in Fy and gamma at 10 Hz.
-
-    `half_s` is the half window that suits all. Half-cycles that touch one of the `stops` (corners and gaps, s) keep it:
-    a wider one would lean more on where exactly the corner is. Neighbours differ by a factor of 1.5 at most, since
-    windows reach over.
+    One window for all, `half_s`, is set by the fastest block: at Table 1 it left a bias of 3 standard deviations in Fy
+    and gamma at 10 Hz. Half-cycles that touch one of the `stops` (corners and gaps, s) keep it: a wider one would lean
+    more on where exactly the corner is. Neighbours differ by a factor of 1.5 at most, since windows reach over.
     """
     width = np.full(edges.size - 1, half_s)
     growing = np.searchsorted(stops, edges[1:] + half_s) <= np.searchsorted(stops, edges[:-1] - half_s)
     before = np.full(width.size, np.inf)
     trial = 1.5 * half_s
-    while np.any(growing := growing & (trial <= SHORTEST_SHARE * np.diff(edges))):
+    while np.any(growing := growing & (trial <= limits.SHORTEST_SHARE * np.diff(edges))):
         grid = samples.grid(trial)
         change, expected = _changes(grid, edges, (trial / 1.5, trial))
         growing = growing & (change <= np.maximum(np.maximum(allowed, expected), before))  # nan: too short to judge
@@ -246,14 +226,13 @@ def widen(samples: Samples, allowed: float, edges: FloatArray, half_s: float, st
 def choose_half_width(samples: Samples, allowed: float, edges: FloatArray) -> float:
     """Half of the widest window, s, that moves the curve of no half-cycle by more than `allowed` or noise explains.
 
-    Windows are widened by a factor 1.5. In each half-cycle (without its ends, where a corner may be) the difference
-    between neighbouring windows is compared with what noise alone would give; its median is used, so that a stop within
-    the half-cycle does not count as curvature. A fifth of the shortest half-cycle is never exceeded. `edges` are the
-    begin, the rough reversals and the end, s.
+    Windows 1.5 times as wide are compared by the median of their difference in each half-cycle, without its ends, so
+    that corners and stops do not count as curvature. A fifth of the shortest half-cycle is never exceeded. `edges` are
+    the begin, the rough reversals and the end, s.
     """
     # The first and the last half-cycle may be cut short or hold a rest, so only whole ones tell the shortest duration.
     whole = np.diff(edges)[1:-1] if edges.size > 3 else np.diff(edges)
-    limit = SHORTEST_SHARE * float(np.min(whole))
+    limit = limits.SHORTEST_SHARE * float(np.min(whole))
     accepted = 2.0 * samples.step
     before = np.full(edges.size - 1, np.inf)
     while accepted * 1.5 <= limit:
@@ -314,7 +293,7 @@ def find_kinks(
     found: list[int] = []
     near = np.zeros(z.size, dtype=np.bool_)  # within half a window of a corner that stands out more
     for index in np.argsort(-z)[: max(1, 40 * z.size // half)]:
-        if z[index] < KINK_Z:
+        if z[index] < limits.KINK_Z:
             break
         if not near[index]:
             found.append(int(index))
@@ -342,12 +321,7 @@ def _by_segment(time_s: FloatArray, grid: Samples, half: int, breaks: np.ndarray
 
 
 def _degree(window: int) -> int:
-    """Degree of the local polynomial: windows are chosen with a cubic, the curve is read off a quintic.
-
-    A cubic pulls the displacement towards mid-stroke by 0.004 mm at 20 Hz and 0.007 mm at 5 Hz, alike in every cycle,
-    which no comparison with the noise of one sample shows: times K it was many standard deviations of K. A quintic
-    leaves 0.0001 and 0.001 mm.
-    """
+    """Windows are chosen with a cubic; a quintic pulls the curve towards mid-stroke by 0.0001 and not by 0.004 mm."""
     return _QUINTIC if window >= 2 * _QUINTIC - 1 else _CUBIC
 
 
@@ -416,26 +390,25 @@ def channel_of(extra: Column, time_s: FloatArray, force_kN: FloatArray) -> Chann
     since = time_s - time_s[0]
     known = np.flatnonzero(np.isfinite(extra.values))
     gap = float(np.diff(since[known], prepend=0.0, append=since[-1]).max() / since[-1])
-    if known.size < SHORTEST or gap > CHANNEL_GAP:
+    if known.size < SHORTEST or gap > limits.CHANNEL_GAP:
         return Channel(extra.name, extra.unit or "", np.zeros(0), np.zeros(0), Refusal.GAPS, gap)
     time = since[known]
-    step = max(float(np.median(np.diff(time))), since[-1] / CHANNEL_CELLS)
+    step = max(float(np.median(np.diff(time))), since[-1] / limits.CHANNEL_CELLS)
     grid = Samples(time, extra.values[known], 0.0, step).averaged(step)
     smoothed, left = _smoothed(grid.values)
     found = Channel(extra.name, extra.unit or "", grid.time_s, smoothed)
     whole = float(np.var(smoothed))
     noise = min(left / whole, 1.0) if np.ptp(smoothed) > 1e-9 * np.abs(smoothed).max() else 1.0
-    if noise > CHANNEL_NOISE:
+    if noise > limits.CHANNEL_NOISE:
         return replace(found, refused=Refusal.CONSTANT, share=noise)
     shared = float(np.corrcoef(np.interp(since, grid.time_s, smoothed), force_kN)[0, 1]) ** 2
-    return replace(found, refused=Refusal.FOLLOWS_FORCE, share=shared) if shared > CHANNEL_FOLLOWS else found
+    return replace(found, refused=Refusal.FOLLOWS_FORCE, share=shared) if shared > limits.CHANNEL_FOLLOWS else found
 
 
 def _smoothed(values: FloatArray) -> tuple[FloatArray, float]:
     """Smooth evenly spaced values by local parabolas; give them and the variance of the noise that is left in them.
 
-    The window is the one that predicts each value best from its neighbours (leave-one-out, in closed form for a linear
-    filter; Allen 1974, Technometrics 16, 125).
+    Their window predicts each value best from its neighbours (leave-one-out: Allen 1974, Technometrics 16, 125).
     """
     # Most recordings have no further channel, and every command reads recordings.
     from scipy.signal import savgol_coeffs, savgol_filter  # noqa: PLC0415
@@ -469,5 +442,5 @@ def at_samples(extra_s: FloatArray, values: FloatArray, time_s: FloatArray) -> F
     to_before = time_s - extra_s[np.maximum(after - 1, 0)]
     to_after = extra_s[np.minimum(after, last)] - time_s
     apart = np.where(after == 0, to_after, np.where(after > last, to_before, to_before + to_after))
-    near = (apart <= CHANNEL_GAP * (time_s[-1] - time_s[0])) | (to_after == 0.0)
+    near = (apart <= limits.CHANNEL_GAP * (time_s[-1] - time_s[0])) | (to_after == 0.0)
     return np.where(near, np.interp(time_s, extra_s, values), np.nan)

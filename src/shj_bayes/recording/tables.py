@@ -113,7 +113,18 @@ def evaluate(text: str, table: Table) -> Column:
     operands: list[Column] = []
 
     def aside(match: re.Match[str]) -> str:
-        operands.append(_operand(match, text, table))
+        kind, word = match.lastgroup, str(match[match.lastgroup or 0])
+        if kind == "number":
+            found: Column | None = Column(word, np.asarray(float(word)))
+        else:
+            found = _numbered(int(word), table) if kind == "index" else _named(word, table)
+        if found is None:
+            names = [column.name for column in table.columns]
+            hint = did_you_mean(text, names) or did_you_mean(word, names)
+            raise RecordingError(
+                f"{table.name} has no column named {word!r}{hint}; {table.summary}; quote names with blanks, or use #3"
+            )
+        operands.append(found)
         return f" {len(operands) - 1} "
 
     bare = _OPERAND.sub(aside, text)
@@ -137,39 +148,22 @@ def _numbered(index: int, table: Table) -> Column:
 
 def _named(name: str, table: Table) -> Column | None:
     """Column or single number by its name as written, else by its name without the unit or the case."""
-    lower = name.lower()
+    headers, names, lower = [c.header for c in table.columns], [c.name for c in table.columns], name.lower()
     for wanted, keys in (
-        (name, [c.header for c in table.columns]),
-        (name, [c.name for c in table.columns]),
-        (lower, [c.header.lower() for c in table.columns]),
-        (lower, [c.name.lower() for c in table.columns]),
-        (lower.replace("/", "."), [c.header.lower().replace("/", ".") for c in table.columns]),  # struct or group
+        (name, headers),
+        (name, names),
+        (lower, [header.lower() for header in headers]),
+        (lower, [own.lower() for own in names]),
+        (lower.replace("/", "."), [header.lower().replace("/", ".") for header in headers]),  # struct or group
     ):
         found = [column for column, key in zip(table.columns, keys, strict=True) if key == wanted]
-        if len(found) == 1:
-            return found[0]
         if len(found) > 1:
             raise RecordingError(
                 f"{table.name} has {len(found)} columns named {name!r}; choose one by its number: {table.summary}"
             )
+        if found:
+            return found[0]
     return Column(name, np.asarray(table.scalars[name])) if name in table.scalars else None
-
-
-def _operand(match: re.Match[str], text: str, table: Table) -> Column:
-    """Look up a number, column or named single number."""
-    kind, word = str(match.lastgroup), match[str(match.lastgroup)]
-    if kind == "number":
-        return Column(word, np.asarray(float(word)))
-    if kind == "index":
-        return _numbered(int(word), table)
-    found = _named(word, table)
-    if found is None:
-        names = [column.name for column in table.columns]
-        hint = did_you_mean(text, names) or did_you_mean(word, names)
-        raise RecordingError(
-            f"{table.name} has no column named {word!r}{hint}; {table.summary}; quote names with blanks, or use #3"
-        )
-    return found
 
 
 def _value(node: ast.expr, operands: list[Column], text: str) -> Column:

@@ -1,17 +1,11 @@
 """Units as laboratories write them, turned into seconds, millimetres and kilonewtons."""
 
-from __future__ import annotations
-
 import difflib
 import re
-from functools import cache
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from shj_bayes.errors import RecordingError
 from shj_bayes.recording.clock import H_MIN_OR_MIN_S
-
-if TYPE_CHECKING:
-    import pint
 
 Role = Literal["time", "displacement", "force"]
 ROLES: tuple[Role, ...] = ("time", "displacement", "force")
@@ -21,27 +15,47 @@ _EXAMPLES: dict[Role, tuple[str, ...]] = {
     "displacement": ("mm", "cm", "m", "um", "in", "ft"),
     "force": ("N", "kN", "MN", "lbf", "kip", "kgf", "tf", "kg", "t"),
 }
-_ABBREVIATION = 4  # letters of an abbreviated unit at most, in which case matters
-_TONNE = "metric_ton * standard_gravity"
 _KILOPOND_KN = 9.80665e-3
 _POUND_KN = 0.45359237 * _KILOPOND_KN
-# What laboratories write -> what pint understands. lb on a force channel is a pound-force.
-_ALIASES = {
-    word: unit
-    for unit, words in {
-        "inch": ('"', "''", "in", "in.", "ins", "inches"),
-        "lbf": ("lb", "lbs", "lb.", "lb-f", "pound", "pounds"),
-        "kip": ("kips", "klbf", "klb", "klbs"),
-        "s": ("sec", "secs", "sec."),
-        "ms": ("msec",),
-        "us": ("usec", "\u00b5s", "\u03bcs"),  # micro sign, Greek mu
-        "min": ("mins",),
-        "hour": ("hr", "h"),
-        "um": ("micron", "microns", "\u00b5m", "\u03bcm"),
-        "kgf": ("kgf", "kp"),
-        _TONNE: ("tonf", "tf"),
-    }.items()
-    for word in words
+_PREFIXES = {"n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6, "m": 1e-3, "c": 1e-2, "d": 0.1, "": 1.0} | {
+    **{"da": 10.0, "k": 1e3, "M": 1e6},
+    **{"nano": 1e-9, "micro": 1e-6, "milli": 1e-3, "centi": 1e-2, "deci": 0.1, "deca": 10.0, "kilo": 1e3, "mega": 1e6},
+}
+# Words of units with a prefix or none, and their size in s, mm and kN.
+_METRIC: tuple[tuple[Role, float, tuple[str, ...], tuple[str, ...]], ...] = (
+    ("time", 1.0, ("s",), ("second", "seconds")),
+    ("displacement", 1e3, ("m",), ("meter", "meters", "metre", "metres")),
+    ("force", 1e-3, ("N",), ("newton", "newtons")),
+)
+# The others, whose case does not matter. lb on a force channel is a pound-force.
+_WORDS: tuple[tuple[Role, float, tuple[str, ...]], ...] = (
+    ("time", 1.0, ("sec", "secs", "sec.")),
+    ("time", 1e-3, ("msec",)),
+    ("time", 1e-6, ("usec",)),
+    ("time", 60.0, ("min", "mins", "minute", "minutes")),
+    ("time", 3600.0, ("h", "hr", "hour", "hours")),
+    ("time", 86_400.0, ("day", "days")),
+    ("displacement", 1e-3, ("micron", "microns")),
+    ("displacement", 0.0254, ("mil", "mils", "thou")),
+    ("displacement", 25.4, ('"', "''", "in", "in.", "ins", "inch", "inches")),
+    ("displacement", 304.8, ("ft", "foot", "feet")),
+    ("displacement", 914.4, ("yd", "yard", "yards")),
+    ("force", _POUND_KN, ("lb", "lbs", "lb.", "lb-f", "lbf", "pound", "pounds")),
+    ("force", 1e3 * _POUND_KN, ("kip", "kips", "klbf", "klb", "klbs")),
+    ("force", _KILOPOND_KN, ("kgf", "kp")),
+    ("force", 1e3 * _KILOPOND_KN, ("tf", "tonf")),
+)
+_SIZES: dict[str, tuple[Role, float]] = {
+    prefix + word: (role, size * factor)
+    for role, size, short, long in _METRIC
+    for prefix, factor in _PREFIXES.items()
+    for word in (long if len(prefix) > len("da") else short if prefix else (*short, *long))
+} | {word: (role, size) for role, size, words in _WORDS for word in words}
+# Case is forgiven where only one reading makes sense; mn is not here (millinewton or meganewton?).
+_ANY_CASE = {
+    **{word.lower(): word for word in ("kN", "N", "mm", "cm", "s", "ms")},
+    **{word: word for _, _, words in _WORDS for word in words if word != "min"},  # MIN is a minimum
+    **{word: word for word in _SIZES if len(word) > len("kips")},  # written out: Millimeters, KILONEWTONS
 }
 # Masses that a force channel is written in: its force is their weight.
 _WEIGHTS_KN = {
@@ -51,60 +65,17 @@ _WEIGHTS_KN = {
     **dict.fromkeys(("long ton", "long tons", "uk ton"), 2240 * _POUND_KN),
 }
 _TONS = {"ton", "tons"}  # metric, short or long? They differ by 10 and 12 %.
-# Case is forgiven where only one reading makes sense; mn is not here (millinewton or meganewton?).
-_ANY_CASE = {unit.lower(): unit for unit in ("kN", "N", "mm", "cm", "s", "ms", "kip", "lbf")} | {"in": "inch"}
-# Of what pint knows the units that recordings carry: importing it and its list takes longer than reading a recording.
-_USUAL_SIZES: dict[Role, dict[str, float]] = {
-    "time": {
-        **{"s": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6},
-        **{"min": 60.0, "hour": 3600.0, "hours": 3600.0},
-    },
-    "displacement": {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "inch": 25.4, "ft": 304.8},
-    "force": {
-        **{"N": 1e-3, "kN": 1.0, "MN": 1e3, "mN": 1e-6, "lbf": _POUND_KN, "kip": 1e3 * _POUND_KN},
-        **{"kgf": _KILOPOND_KN, _TONNE: 1e3 * _KILOPOND_KN},
-    },
-}
-_USUAL = {name: (role, size) for role, sizes in _USUAL_SIZES.items() for name, size in sizes.items()}
-# Units of channels that nobody needs, so that pint is not asked about every one of them.
-_OTHERS = {"V", "mV", "bar", "MPa", "degC", "C", "%", "mm/s", "m/s", "in/s"}
+# Units of other quantities, of which a refusal says so.
+_OTHERS = re.compile(
+    r"[nu\u00b5mkM]?(V|volts?|A|Hz|Pa|bar|W|g)|psi|ksi|deg[CF]?|[\u00b0]?[CFK]|rad|%|kg|1/s|k?N\*?m"
+    r"|([mc]?m|in|ft)/s([\^*]*2)?|k?N/(m|mm|s)[2\u00b2]?"
+)
 
 
 def _known(text: str) -> tuple[Role, float] | None:
     """Channel of a unit as laboratories write it, and its factor to the tool's unit; None when it is none of them."""
-    # The likeliest first: pint's Ms is a million seconds, and stays so although MS is forgiven for ms.
-    for name in (
-        _ALIASES.get(text, text),
-        _ALIASES.get(text.lower(), text),
-        _ANY_CASE.get(text.lower(), text),
-        text.lower() if len(text) > _ABBREVIATION else text,  # written out: Millimeters, KILONEWTONS
-    ):
-        if name in _USUAL:
-            return _USUAL[name]
-        if name not in _OTHERS and (unit := _parse(name)) is not None:
-            for role, target in TARGET.items():  # a dimension can belong to one of them only
-                if unit.is_compatible_with(target):
-                    return role, float(_registry().Quantity(1.0, unit).to(target).magnitude)
-    return None
-
-
-@cache
-def _registry() -> pint.UnitRegistry[float]:
-    """Make the one unit registry, on first use: importing pint takes longer than printing a help page."""
-    import pint  # noqa: PLC0415
-
-    return pint.UnitRegistry()
-
-
-@cache
-def _parse(text: str) -> pint.Unit | None:
-    """Give the unit that pint reads in a text, None when there is none."""
-    if not re.fullmatch(r"""[\w."'*/ ^\u00b5\u03bc%-]{1,40}""", text):
-        return None
-    try:
-        return _registry().Unit(text)
-    except Exception:  # pint raises tokenizer, attribute and value errors for bad spellings
-        return None
+    # As it is written first: Ms is a million seconds, and stays so although MS is forgiven for ms.
+    return _SIZES.get(text) or _SIZES.get(_ANY_CASE.get(text.lower(), ""))
 
 
 def role_of(text: str) -> Role | None:
@@ -145,30 +116,23 @@ def factor(text: str, role: Role) -> float:
             f"unit {text!r} of force may be a metric ton (9.807 kN), a short one of 2000 lbf (8.896 kN) or a long one "
             "of 2240 lbf (9.964 kN); say which with --units force=tf, 'force=short ton' or 'force=long ton'"
         )
-    known = _known(text) is not None or _parse(_ALIASES.get(text, text)) is not None
-    raise RecordingError(_refusal(text, role, known))
-
-
-def _refusal(text: str, role: Role, known: bool) -> str:
-    """One line: what came, what is allowed, what to do."""
-    allowed = _EXAMPLES[role]
-    near = difflib.get_close_matches(text, [*allowed, *_ALIASES], n=1, cutoff=0.5)
-    hint = f"; did you mean {near[0]!r}?" if near and near[0] != text else ""
-    if known:  # of another channel: not a slip of the pen but a wrong header, or two columns exchanged
-        hint = f"; where the header is wrong, say what the numbers are with --units {role}={TARGET[role]}"
-    what = "is a unit, but not of" if known else "is no known unit of"
     if text == H_MIN_OR_MIN_S:
-        return (
+        raise RecordingError(
             "time: cells such as 00:01 may be hours and minutes or minutes and seconds; say which with --units time=h, "
             "where the first are hours, or --units time=min"
         )
-    electrical = text.lower() in {"v", "mv", "volt", "volts"}
-    advice = (
-        "; multiply by the sensor's calibration first, or choose the calibrated column with --columns"
-        if electrical
-        else hint or f"; state the unit with --units, for example --units {','.join(TARGET.values())}"
-    )
-    return f"unit {text!r} {what} {role}; allowed are {', '.join(allowed)}{advice}"
+    known = _known(text) is not None or _OTHERS.fullmatch(text) is not None
+    what = "is a unit, but not of" if known else "is no known unit of"
+    near = difflib.get_close_matches(text, [*_EXAMPLES[role], *_ANY_CASE.values()], n=1, cutoff=0.5)
+    if text.lower() in {"v", "mv", "volt", "volts"}:
+        advice = "multiply by the sensor's calibration first, or choose the calibrated column with --columns"
+    elif known:  # of another channel: not a slip of the pen but a wrong header, or two columns exchanged
+        advice = f"where the header is wrong, say what the numbers are with --units {role}={TARGET[role]}"
+    elif near and near[0] != text:
+        advice = f"did you mean {near[0]!r}?"
+    else:
+        advice = f"state the unit with --units, for example --units {','.join(TARGET.values())}"
+    raise RecordingError(f"unit {text!r} {what} {role}; allowed are {', '.join(_EXAMPLES[role])}; {advice}")
 
 
 def parse_units(option: str | None) -> dict[Role, str]:

@@ -270,7 +270,7 @@ def here(monkeypatch):
     """Structs and HDF5 are read in this process, not in one of their own, which takes most of the time."""
 
     def apart(path, mark):
-        return flat((from_hdf5 if binary.is_hdf5(path) else binary.loaded)(path), mark)
+        return flat((from_hdf5 if binary.is_hdf5(path) else binary.from_mat)(path), mark)
 
     monkeypatch.setattr(binary, "apart", apart)
 

@@ -212,6 +212,42 @@ def test_sign_flipped_force_is_turned_round(clean):
     np.testing.assert_array_equal(recording.force_kN, f)
 
 
+@pytest.mark.parametrize(("factor", "word"), [(-1.0, "sign"), (10.0, "scale"), (1e-3, "scale"), (0.2, "scale")])
+def test_a_force_whose_sign_or_scale_changes_is_refused_and_not_turned_round(clean, factor, word):
+    t, x, f = arrays(clean)
+    for at in (4250, 8000):  # in the middle of a half-cycle, where work tells
+        f[at:] *= factor
+        found, recording = run(t, x, f)
+        said = found["force-changes"]
+        assert said.severity == "unusable"
+        assert f"changes its {word}" in said.message
+        assert float(said.message.partition("about ")[2].partition(" s")[0]) == pytest.approx(t[at], abs=1.0)
+        assert "force-sign" not in found
+        np.testing.assert_array_equal(recording.force_kN, f)
+        f[at:] /= factor
+
+
+@pytest.mark.parametrize("left", [0.4, 2.5])
+def test_a_lost_bolt_and_a_tightened_one_are_no_change_of_the_scale(clean, left):
+    t, x, f = arrays(clean)
+    f[8000:] *= left
+    assert "force-changes" not in run(t, x, f)[0]
+
+
+def test_a_force_that_stops_again_and_again_is_no_evidence(clean):
+    t, x, f = arrays(clean)
+    stuck = np.zeros(t.size, dtype=bool)
+    for k in range(300, t.size - 60, 1000):
+        f[k : k + 25] = f[k]
+        stuck[k : k + 25] = True
+    found, recording = run(t, x, f)
+    assert "times, first from 15 s" in found["stopped"].message
+    assert found["stopped"].count >= 0.8 * stuck.sum()  # not those in which the device hardly moves
+    assert not recording.used[stuck].all()
+    assert recording.used[~stuck].all()
+    assert "stopped" not in run(t, x, np.round(f))[0]
+
+
 def test_swapped_columns_are_named_and_not_changed(clean):
     t, x, f = arrays(clean)
     found, recording = run(t, f, x)

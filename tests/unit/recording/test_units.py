@@ -21,6 +21,11 @@ from shj_bayes.recording.units import factor, parse_units, role_of
         ("\u00b5m", "displacement", 1e-3),
         ("microns", "displacement", 1e-3),
         ("ft", "displacement", 304.8),
+        ("dm", "displacement", 100.0),
+        ("Millimetres", "displacement", 1.0),
+        ("thou", "displacement", 0.0254),
+        ("daN", "force", 0.01),
+        ("KILONEWTONS", "force", 1.0),
         ("kip", "force", 4.4482216152605),
         ("kips", "force", 4.4482216152605),
         ("lb", "force", 4.4482216152605e-3),
@@ -48,6 +53,9 @@ def test_factors(unit, role, expected):
     [
         ("V", "force", ["'V'", "force", "kN", "calibration"]),
         ("MPa", "force", ["'MPa'", "not of force", "N, kN"]),
+        ("N/mm\u00b2", "force", ["not of force"]),
+        ("RN", "force", ["no known unit"]),
+        ("mn", "force", ["no known unit"]),
         ("mm", "force", ["'mm'", "not of force"]),
         ("kNn", "force", ["'kNn'", "no known unit", "did you mean 'kN'"]),
         ("__import__('os')", "time", ["no known unit of time"]),
@@ -109,6 +117,6 @@ def test_headers(header, name, unit):
     assert split_header(header) == (name, unit)
 
 
-def test_pint_is_not_imported_before_a_unit_is_read():
-    code = "import sys, shj_bayes.recording; sys.exit('pint' in sys.modules or 'pandas' in sys.modules)"
+def test_pandas_is_not_imported_before_it_is_needed():
+    code = "import sys, shj_bayes.recording.reader; sys.exit('pandas' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -9,12 +9,11 @@ import sys
 import tempfile
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO, Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -30,18 +29,67 @@ _VALUES = {"data", "values", "value", "y"}  # fields of a channel: its numbers, 
 _TIMES = {"time", "times", "t"}
 _NAMES = ("name", "label", "channel", "title")
 _UNITS = ("units", "unit")
-Numbers = np.ndarray[Any, Any]
+_OBJECTS = "; objects such as timeseries and timetable only MATLAB can open: save s.time = ts.Time; s.force = ts.Data"
 
 
-def shaped(values: Numbers) -> Numbers | None:
-    """Vector, or matrix with the long side down; None for what is neither."""
-    values = np.squeeze(values)
-    if values.ndim <= 1:
-        return values if values.size else None
-    if values.ndim == 2:
-        values = values if values.shape[0] >= values.shape[1] else values.T
-        return values if values.shape[1] <= MAX_WIDTH else None
-    return None
+def read_binary(path: Path, sheet: str | None) -> Table:
+    """Read a MAT or HDF5 file: a column for each vector and each column of a matrix (``name[1]``), and single numbers.
+
+    Structs and cells of MATLAB are gone into (``test.data.time``), groups of HDF5 too (``test/data/time``). v7.3 MAT
+    files are HDF5 and are recognised by their contents. `sheet` is one of the groups or structs.
+    """
+    is_mat = path.suffix.lower() == ".mat"
+    mark = "." if is_mat else "/"
+    if not is_mat and not is_hdf5(path):
+        raise RecordingError(f"{path.name} is not an HDF5 file although its ending says so; export it again")
+    columns, scalars, findings = _channels(apart(path, mark), mark)
+    if not columns:
+        held = "; ".join(
+            [f"single numbers: {', '.join(list(scalars)[:12])}"] * bool(scalars) + [f.message for f in findings]
+        )
+        raise RecordingError(
+            f"{path.name}: no column of numbers found; {held or 'it is empty'}; export time, displacement and force as "
+            f"vectors{_OBJECTS if is_mat else ''}"
+        )
+    found, told = grouped(columns, path.name, mark, sheet)
+    return Table(path.name, found, scalars=scalars, findings=(*findings, *told))
+
+
+def _channels(items: Iterable[Column], mark: str) -> tuple[list[Column], dict[str, float], tuple[Finding, ...]]:
+    """Columns for vectors and for each column of a matrix, single numbers, and what was left out."""
+    columns, scalars, skipped = list[Column](), dict[str, float](), list[str]()
+    for item in items:
+        path = item.header or _below(item.group, mark, item.name)
+        if not item.values.size:
+            skipped.append(path)
+        elif item.values.size == 1:
+            scalars[path] = float(item.values.ravel()[0])
+        else:
+            plain, own = split_header(item.name)
+            clock = None if item.clock_s is None else as_floats(item.clock_s)
+            matrix = item.values.ndim == 2
+            for i, values in enumerate(item.values.T if matrix else [item.values], start=1):
+                of, unit = f"[{i}]" if matrix else "", item.unit or own
+                header = f"{path}{of}"
+                columns.append(
+                    Column(f"{plain}{of}", as_floats(values), unit, header, 0, item.group, clock, clock is None)
+                )
+    return columns, scalars, left_out(skipped)
+
+
+def is_hdf5(path: Path) -> bool:
+    """Whether the signature of HDF5 stands at 0, 512, 1024, 2048 ... (HDF5 format specification, section II.A)."""
+    size, at = path.stat().st_size, 0
+    with path.open("rb") as stream:
+        while at < size:
+            stream.seek(at)
+            if stream.read(8) == b"\x89HDF\r\n\x1a\n":
+                return True
+            at = 2 * at or 512
+    return False
+
+
+# --- a nest of groups, structs and cells as channels ---
 
 
 def flat(node: dict[str, Any], mark: str, group: str = "") -> Iterator[Column]:
@@ -50,20 +98,35 @@ def flat(node: dict[str, Any], mark: str, group: str = "") -> Iterator[Column]:
     Vectors, matrices and single numbers as they are; what is no numbers has no values. `mark` stands between groups.
 
     A struct of values alone, or of values with their times, is one channel, with the name and unit that it states. A
-    list of texts beside a matrix of as many columns names them.
+    list of texts beside a matrix of as many columns, or beside as many cells, names them.
     """
     values = {key: _numbers(value) for key, value in node.items()}
-    names, units = _titles(values)
+    texts = [v for v in values.values() if isinstance(v, list) and v and all(isinstance(each, str) for each in v)]
+    titles = [each for each in texts if not is_unit_row(each)]
+    names = titles[0] if len(titles) == 1 else []  # else it is not clear which are the names
+    beside = [each for each in texts if is_unit_row(each) and len(each) == len(names)]
+    units = beside[0] if len(beside) == 1 else []
+    stated = [unit or None for unit in units] or [None] * len(names)
     for key, value in values.items():
-        if isinstance(value, dict):
+        below = _below(group, mark, key)
+        cells = value if isinstance(value, list) else []
+        if isinstance(value, Column) and value.values.ndim == 2 and value.values.shape[1] == len(names):
+            cells = [Column("", column) for column in value.values.T]
+        if names and len(cells) == len(names) and all(isinstance(each, Column) for each in cells):
+            for title, unit, each in zip(names, stated, cells, strict=True):
+                yield Column(title, each.values, unit, group=below)
+        elif isinstance(value, dict):
             yield from _within(value, mark, group, key)
-        elif isinstance(value, list):
-            if value is not names and value is not units:
-                yield from _listed(value, mark, group, key, (names, units))
-        elif isinstance(value, Column) and value.values.ndim == 2 and value.values.shape[1] == len(names):
-            yield from _titled(_below(group, mark, key), names, units, value.values.T)
-        else:
+        elif not isinstance(value, list):
             yield _named(value, key, group)
+        elif any(isinstance(each, dict | Column) for each in value):
+            for number, each in enumerate(value, start=1):
+                if isinstance(each, dict):
+                    yield from _within(each, mark, group, f"{key}({number})")
+                else:
+                    yield _named(each, f"{key}{{{number}}}", group)
+        elif value is not names and value is not units:
+            yield _named(None, key, group)
 
 
 def _below(group: str, mark: str, key: str) -> str:
@@ -72,29 +135,7 @@ def _below(group: str, mark: str, key: str) -> str:
 
 def _named(value: Any, name: str, group: str) -> Column:
     """Numbers under their name, or the name of what is none."""
-    held = value if isinstance(value, Column) else Column("", np.empty(0))
-    return replace(held, name=name, group=group)
-
-
-def _titled(group: str, names: list[str], units: list[str], columns: Iterable[Numbers]) -> Iterator[Column]:
-    """Columns with the names and units that stand in lists of texts."""
-    for title, unit, column in zip(names, units or ("",) * len(names), columns, strict=True):
-        yield Column(title, column, unit or None, group=group)
-
-
-def _listed(cells: list[Any], mark: str, group: str, key: str, titles: tuple[list[str], list[str]]) -> Iterator[Column]:
-    """Elements of an array of structs, and cells."""
-    inside = [_numbers(each) for each in cells]
-    if len(titles[0]) == len(inside) and all(isinstance(each, Column) for each in inside):
-        yield from _titled(_below(group, mark, key), *titles, (each.values for each in inside))
-    elif not any(isinstance(each, dict | Column) for each in inside):
-        yield _named(None, key, group)
-    else:
-        for number, each in enumerate(inside, start=1):
-            if isinstance(each, dict):
-                yield from _within(each, mark, group, f"{key}({number})")
-            else:
-                yield _named(each, f"{key}{{{number}}}", group)
+    return replace(value if isinstance(value, Column) else Column("", np.empty(0)), name=name, group=group)
 
 
 def _within(node: dict[str, Any], mark: str, group: str, key: str) -> Iterator[Column]:
@@ -116,30 +157,30 @@ def _within(node: dict[str, Any], mark: str, group: str, key: str) -> Iterator[C
 
 
 def _numbers(value: Any) -> Any:
-    """Numbers as a column, cells of numbers too; cells of anything else as a list; the rest as it is."""
+    """Numbers as a column, also of cells; other cells as a list, those with titles by them; the rest as it is."""
     if isinstance(value, np.ndarray) and value.dtype.kind == "O":
-        value = _cells(value)
-    if isinstance(value, list) and value and all(_single(each) for each in value):
-        value = np.array([float(each) for each in value])
+        table = np.empty((0, 0)) if value.ndim != 2 else value if value.shape[0] >= value.shape[1] else value.T
+        titled = bool(table.size) and all(isinstance(each, str) for each in table[0])
+        if table.size and all(map(_single, table[titled:].ravel())):
+            numbers = table[titled:].astype(np.float64)
+            value = dict(zip(table[0].tolist(), numbers.T, strict=True)) if titled else numbers
+        else:
+            value = [_numbers(each) for each in np.ravel(value)]
+    elif isinstance(value, list):
+        value = [_numbers(each) for each in value]
+    if isinstance(value, list) and value and all(isinstance(v, Column) and not v.values.ndim for v in value):
+        value = np.array([float(each.values) for each in value])
     if isinstance(value, np.ndarray) and value.dtype.kind == "U":
         return [str(text).strip() for text in np.ravel(value)] if value.ndim else str(value)
     if _single(value) or (isinstance(value, np.ndarray) and value.dtype.kind in "fiub"):
         value = Column("", np.asarray(value))
-    if isinstance(value, Column):
-        plain = shaped(value.values)
-        return None if plain is None else replace(value, values=plain)
-    return value
-
-
-def _cells(cells: np.ndarray[Any, Any]) -> Any:
-    """Table of single numbers as a matrix, with titles as a dictionary of columns; other cells as a list."""
-    if cells.ndim == 2:
-        table = cells if cells.shape[0] >= cells.shape[1] else cells.T
-        titled = all(isinstance(each, str) for each in table[0])
-        if all(_single(each) for each in table[titled:].ravel()):
-            numbers = table[titled:].astype(np.float64)
-            return dict(zip(table[0].tolist(), numbers.T, strict=True)) if titled else numbers
-    return list(np.ravel(cells))
+    if not isinstance(value, Column):
+        return value
+    plain = np.squeeze(value.values)
+    if plain.ndim == 2 and plain.shape[0] < plain.shape[1]:
+        plain = plain.T
+    fits = plain.ndim < 2 or (plain.ndim == 2 and plain.shape[1] <= MAX_WIDTH)
+    return replace(value, values=plain) if fits and plain.size else None
 
 
 def _single(value: Any) -> bool:
@@ -148,49 +189,16 @@ def _single(value: Any) -> bool:
     )
 
 
-def _titles(values: dict[str, Any]) -> tuple[list[str], list[str]]:
-    """Find the lists of texts that are names and units; empty where it is not clear which are the names."""
-    texts = [v for v in values.values() if isinstance(v, list) and v and all(isinstance(each, str) for each in v)]
-    names = [each for each in texts if not is_unit_row(each)]
-    if len(names) != 1:
-        return [], []
-    units = [each for each in texts if is_unit_row(each) and len(each) == len(names[0])]
-    return names[0], units[0] if len(units) == 1 else []
-
-
-def channels_of(items: Iterable[Column], mark: str) -> tuple[list[Column], dict[str, float], tuple[Finding, ...]]:
-    """Columns for vectors and for each column of a matrix, single numbers, and what was left out."""
-    columns, scalars, skipped = list[Column](), dict[str, float](), list[str]()
-    for item in items:
-        path = item.header or _below(item.group, mark, item.name)
-        if not item.values.size:
-            skipped.append(path)
-        elif item.values.size == 1:
-            scalars[path] = float(item.values.ravel()[0])
-        else:
-            plain, own = split_header(item.name)
-            clock = None if item.clock_s is None else as_floats(item.clock_s)
-            each = item.values.T if item.values.ndim == 2 else [item.values]
-            for i, values in enumerate(each, start=1):
-                of = f"[{i}]" if item.values.ndim == 2 else ""
-                own_name, unit = f"{plain}{of}", item.unit or own
-                columns.append(
-                    Column(own_name, as_floats(values), unit, f"{path}{of}", 0, item.group, clock, clock is None)
-                )
-    return columns, scalars, left_out(skipped)
-
+# --- a process of its own ---
 
 _CHILD = "import sys; from shj_bayes.recording.formats.binary import child; child(*sys.argv[1:])"
-_NUMERIC = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
-_NESTED = {"struct", "cell"}
 
 
 def apart(path: Path, mark: str) -> Iterator[Column]:
-    """Read a file in a process of its own, which a damaged file may end, and give what it holds.
+    """Read a file in a process of its own, whose memory and time are bounded, and give what it holds.
 
-    `mark` stands between the levels of its groups. About one damaged HDF5 file in a thousand ends its reader with a
-    segmentation fault (``tests/fuzz``); so do a few thousand cells in one another in scipy.
-
+    A small file may unpack to gigabytes; about one damaged HDF5 file in a thousand ends its reader with a segmentation
+    fault (``tests/fuzz``), and so do a few thousand cells in one another in scipy. `mark` stands between its groups.
     `RecordingError` if the file cannot be read, or the library dies, hangs or takes too much memory over it.
     """
     broken = f"{path.name}: the library of its format cannot read it and gave up"
@@ -226,10 +234,11 @@ def child(path: str, mark: str, seconds: str) -> None:
     faulthandler.dump_traceback_later(int(seconds), exit=True)  # also where the library holds every other thread up
     items: list[Column] = []
     try:
-        read = from_hdf5 if is_hdf5(Path(path)) else loaded
+        read = from_hdf5 if is_hdf5(Path(path)) else from_mat
         import_module("h5py" if read is from_hdf5 else "scipy.io")  # what is loaded is not counted against the bound
         bound_memory(limits.CHILD_BYTES)
         items = list(flat(read(Path(path)), mark))
+        refuse_large(sum(8 * item.values.size for item in items), Path(path).name)
         heads = [(i.name, i.unit, i.header, i.group, i.clock_s is not None) for i in items]
         answer: dict[str, Any] = {"items": heads}
     except RecordingError as error:
@@ -247,49 +256,38 @@ def child(path: str, mark: str, seconds: str) -> None:
     out.flush()
 
 
-def from_hdf5(path: Path) -> dict[str, Any]:
-    """Read the groups of an HDF5 file as nested dictionaries of numbers, texts and lists.
+# --- what the libraries give, as nested dictionaries of numbers, texts and lists; None for what is none of them ---
 
-    What is no numbers is None. No link out of the file is followed; cells and arrays of structs of MATLAB, which are
-    references in it, are.
-    """
+_NUMERIC = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+
+
+def from_hdf5(path: Path) -> dict[str, Any]:
+    """Read the groups of an HDF5 file: no link out of it; cells and arrays of structs of MATLAB, references in it."""
     import h5py  # noqa: PLC0415
 
     with h5py.File(path, "r") as file:
-        tree: dict[str, Any] = _Tree(path.name, file, h5py).group(file, 0)
+        tree: dict[str, Any] = _Tree(path.name, file, h5py).group(file)
         numbers = ((k, v) for k, v in file.attrs.items() if isinstance(v, int | float | np.integer | np.floating))
         return tree | {key: np.asarray(value) for key, value in numbers if key not in tree}
 
 
 class _Tree:
-    """What an HDF5 file holds, gone through with its objects, their depth and their bytes counted."""
+    """What an HDF5 file holds, gone through with its bytes counted."""
 
     def __init__(self, name: str, file: Any, h5py: Any) -> None:
-        self.name, self.file, self.h5py = name, file, h5py
-        self.parts = self.cells = self.bytes = 0
+        self.name, self.file, self.h5py, self.bytes = name, file, h5py, 0
         self.seen: set[Any] = set()
 
-    def group(self, group: Any, depth: int) -> Any:
+    def group(self, group: Any) -> Any:
         """Members of a group by hard links, each object once; an array of structs of MATLAB as the list of them."""
-        if depth > limits.MAX_DEPTH:
-            raise RecordingError(
-                f"{self.name}: groups within groups, {depth} deep; allowed are {limits.MAX_DEPTH}; export it again"
-            )
-        self.parts += len(group)
-        if self.parts > limits.MAX_PARTS:
-            raise RecordingError(
-                f"{self.name} holds more than {limits.MAX_PARTS} groups and datasets; export fewer channels"
-            )
         found: dict[str, Any] = {}
         for key in group:
             if key.startswith("#") or not isinstance(group.get(key, getlink=True), self.h5py.HardLink):
                 continue
-            item = group[key]
-            place = self.h5py.h5o.get_info(item.id).addr
-            if place in self.seen:
-                continue
-            self.seen.add(place)
-            found[key] = self.group(item, depth + 1) if isinstance(item, self.h5py.Group) else self.dataset(item, depth)
+            place = self.h5py.h5o.get_info(group[key].id).addr
+            if place not in self.seen:
+                self.seen.add(place)
+                found[key] = self.item(group[key])
         # The fields of an array of structs are references without a class, as many for each field.
         fields = [group[key] for key in found] if "MATLAB_class" in group.attrs else []
         kinds = [f.dtype.kind for f in fields if isinstance(f, self.h5py.Dataset) and "MATLAB_class" not in f.attrs]
@@ -299,294 +297,83 @@ class _Tree:
                 return [dict(zip(found, element, strict=True)) for element in zip(*lists, strict=True)]
         return found
 
-    def dataset(self, item: Any, depth: int) -> Any:
-        """Numbers of a dataset, columns of a table, text and cells of MATLAB; None for anything else."""
+    def item(self, item: Any) -> Any:
+        """Give a group; or numbers of a dataset, columns of a table, text and cells of MATLAB."""
+        if isinstance(item, self.h5py.Group):
+            return self.group(item)
         if not isinstance(item, self.h5py.Dataset) or item.external or item.is_virtual or item.shape is None:
             return None
         kind = item.attrs.get("MATLAB_class", b"")
         kind = kind.decode("ascii", "replace") if isinstance(kind, bytes) else str(kind)
         if item.dtype == self.h5py.ref_dtype:
-            ours = kind == "cell" or (not kind and "MATLAB_class" in item.parent.attrs)
-            return self._followed(item, depth) if ours else None
+            return self.cells(item) if kind == "cell" or (not kind and "MATLAB_class" in item.parent.attrs) else None
         # Of an object of MATLAB no numbers are stored, but where they are.
-        parts = [item.dtype[name] for name in item.dtype.names or ()] or [item.dtype]
-        plain = all(part.kind in "fiub" for part in parts)
+        fields = item.dtype.names or ()
+        plain = all(part.kind in "fiub" for part in [item.dtype[name] for name in fields] or [item.dtype])
         if "MATLAB_empty" in item.attrs or not plain or kind not in {"", "char", *_NUMERIC}:
             return None
         self.bytes += int(item.size or 0) * max(8, item.dtype.itemsize)
         refuse_large(self.bytes, self.name)
-        # What a chunk really unpacks to is limited by the bound on the memory.
-        if item.chunks and int(np.prod([float(n) for n in item.chunks])) * item.dtype.itemsize > limits.MAX_BYTES:
+        if item.chunks and math.prod(map(int, item.chunks)) * item.dtype.itemsize > limits.MAX_BYTES:
             raise RecordingError(f"{self.name}: chunks of {item.chunks} values; save it again with smaller ones")
+        values = item[()]
         if kind == "char":
-            return "".join(chr(int(letter)) for letter in np.ravel(item[()])[: limits.MAX_PARTS])
-        if item.dtype.names:
-            table = item[()]
-            return {field: table[field] for field in item.dtype.names}
-        return Column("", item[()], _unit(item))
+            return "".join(chr(int(letter)) for letter in np.ravel(values)[: limits.MAX_PARTS])
+        stated = [item.attrs.get(key) for key in ("units", "unit", "Units", "Unit")]
+        words = [unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit for unit in stated]
+        unit = next((word.strip() for word in words if isinstance(word, str) and word.strip()), None)
+        return {field: values[field] for field in fields} or Column("", values, unit)
 
-    def _followed(self, item: Any, depth: int) -> Any:
-        """Cells, or elements of an array of structs, which lie elsewhere in the same file."""
-        if depth > limits.MAX_DEPTH:
-            raise RecordingError(f"{self.name}: cells within cells, {depth} deep; allowed are {limits.MAX_DEPTH}")
-        self.cells += int(item.size or 0)
-        if self.cells > limits.MAX_NESTED:
-            raise RecordingError(f"{self.name} holds more than {limits.MAX_NESTED} cells; save its channels as vectors")
-        read: list[Any] = []
-        for reference in np.ravel(item[()]):
-            cell = self.file[reference] if reference else None
-            one = self.group(cell, depth + 1) if isinstance(cell, self.h5py.Group) else self.dataset(cell, depth + 1)
-            read.append(one.values.ravel()[0] if isinstance(one, Column) and one.values.size == 1 else one)
-        if len(item.shape) == 2 and min(item.shape) > 1:
-            table = np.empty(len(read), dtype=object)
-            table[:] = read
-            return table.reshape(item.shape)
-        return read
+    def cells(self, item: Any) -> Any:
+        """Give cells, or elements of an array of structs, which lie elsewhere in the same file."""
+        read = [self.item(self.file[reference]) if reference else None for reference in np.ravel(item[()])]
+        out = np.empty(len(read), dtype=object)
+        out[:] = [r.values.ravel()[0] if isinstance(r, Column) and r.values.size == 1 else r for r in read]
+        return out.reshape(item.shape) if len(item.shape) == 2 and min(item.shape) > 1 else list(out)
 
 
-def _unit(item: Any) -> str | None:
-    """Look for a unit among the attributes of a dataset."""
-    for key in ("units", "unit", "Units", "Unit"):
-        value = item.attrs.get(key)
-        if isinstance(value, bytes):
-            value = value.decode("utf-8", "replace")
-        if isinstance(value, str) and value.strip():
-            return value.strip()
-    return None
+_V5_ORDERS: dict[bytes, Literal["little", "big"]] = {b"\x00\x01IM": "little", b"\x01\x00MI": "big"}  # at byte 124
+_COMPRESSED = 15  # type of an element
 
 
-_V5_ORDERS = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}  # version and order of the bytes, at byte 124 of a v5 MAT file
-_MATRIX, _COMPRESSED = 14, 15  # types of elements of a v5 MAT file
-_V5_BYTES = {3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8, 17: 2, 18: 4}  # of a number, by the type of an element
-_V4_BYTES = {0: 8, 1: 4, 2: 4, 3: 2, 4: 2, 5: 1}  # of a number, by its type in a v4 MAT file
-_OBJECTS = "; objects such as timeseries and timetable only MATLAB can open: save s.time = ts.Time; s.force = ts.Data"
+def from_mat(path: Path) -> dict[str, Any]:
+    """Read the variables of a MAT file up to v7; objects are not loaded at all."""
+    from scipy.io import loadmat, whosmat  # noqa: PLC0415
 
-
-def read_binary(path: Path, sheet: str | None) -> Table:
-    """Read a MAT or HDF5 file: a column for each vector and each column of a matrix (``name[1]``), and single numbers.
-
-    Structs and cells of MATLAB are gone into (``test.data.time``), groups of HDF5 too (``test/data/time``). v7.3 MAT
-    files are HDF5 and are recognised by their contents. `sheet` is one of the groups or structs.
-    """
-    is_mat = path.suffix.lower() == ".mat"
-    mark = "." if is_mat else "/"
-    if is_hdf5(path):
-        items = apart(path, mark)
-    elif is_mat:
-        items = _from_mat(path)
-    else:
-        raise RecordingError(f"{path.name} is not an HDF5 file although its ending says so; export it again")
-    columns, scalars, findings = channels_of(items, mark)
-    if not columns:
-        held = "; ".join(
-            [f"single numbers: {', '.join(list(scalars)[:12])}"] * bool(scalars) + [f.message for f in findings]
-        )
-        raise RecordingError(
-            f"{path.name}: no column of numbers found; {held or 'it is empty'}; export time, displacement and force as "
-            f"vectors{_OBJECTS if is_mat else ''}"
-        )
-    found, told = grouped(columns, path.name, mark, sheet)
-    return Table(path.name, found, scalars=scalars, findings=(*findings, *told))
-
-
-def is_hdf5(path: Path) -> bool:
-    """Whether the signature of HDF5 stands at 0, 512, 1024, 2048 ... (HDF5 format specification, section II.A)."""
-    size, at = path.stat().st_size, 0
     with path.open("rb") as stream:
-        while at < size:
-            stream.seek(at)
-            if stream.read(8) == b"\x89HDF\r\n\x1a\n":
-                return True
-            at = 2 * at or 512
-    return False
-
-
-def _from_mat(path: Path) -> Iterator[Column]:
-    """Variables of a MAT file up to v7; files with structs or cells in a process of their own (see `apart`)."""
-    with path.open("rb") as stream:
-        head = stream.read(128)
-    order = _V5_ORDERS.get(head[124:])
-    if order is not None:
-        _Walk(path, order).through()
-    elif 0 not in head[:4]:  # as in version 4, which has no compression: it begins with a small integer
-        raise RecordingError(f"{path.name} is not a MAT file although its ending says so; export it again")
-    else:
-        _count_v4(path)
-    listing = _listing(path)
-    # math.prod, since the sizes of a damaged file overflow the integers of numpy
-    refuse_large(sum(8 * math.prod(shape) for _, shape, kind in listing if kind in _NUMERIC), path.name)
-    return apart(path, ".") if any(kind in _NESTED for _, _, kind in listing) else flat(loaded(path), ".")
-
-
-def _listing(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
-    """Name, size and class of each variable."""
-    from scipy.io import whosmat  # noqa: PLC0415
-
-    with _sizes_told(path):
-        return [(str(name), tuple(map(int, shape)), str(kind)) for name, shape, kind in whosmat(path)]
-
-
-def loaded(path: Path) -> dict[str, Any]:
-    """Variables of a MAT file up to v7 as nested dictionaries, lists and numbers; objects are not loaded at all."""
-    from scipy.io import loadmat  # noqa: PLC0415
-
-    listing = _listing(path)
-    wanted = [name for name, _, kind in listing if kind in _NUMERIC | _NESTED | {"char"}]
-    with _sizes_told(path):
-        found = loadmat(path, variable_names=wanted, simplify_cells=True) if wanted else {}
-    return {name: found.get(name) for name, _, _ in listing}
-
-
-@contextmanager
-def _sizes_told(path: Path) -> Iterator[None]:
-    """Turn errors of scipy over elements that are shorter or longer than they claim into one sentence."""
+        head, length = stream.read(128), path.stat().st_size
+        order = _V5_ORDERS.get(head[124:])
+        if order is None and 0 not in head[:4]:  # as in version 4: it begins with a small integer
+            raise RecordingError(f"{path.name} is not a MAT file although its ending says so; export it again")
+        total = 0
+        while order and len(tag := stream.read(8)) == 8:
+            kind, size = (int.from_bytes(part, order) for part in (tag[:4], tag[4:]))
+            begin = stream.tell()
+            if size > length - begin:  # it would hide those behind it
+                raise RecordingError(
+                    f"{path.name}: the element at byte {begin - 8} claims {size} bytes, the file has {length - begin} "
+                    "left; check that it is complete, or save it again"
+                )
+            unpacker = zlib.decompressobj()
+            while kind == _COMPRESSED and (left := begin + size - stream.tell()) > 0:
+                packed = stream.read(min(left, limits.CHUNK_BYTES))
+                while packed:  # counted in pieces before scipy unpacks it whole
+                    total += len(unpacker.decompress(packed, limits.CHUNK_BYTES))
+                    refuse_large(total, path.name)
+                    packed = unpacker.unconsumed_tail
+            stream.seek(begin + size)
     try:
-        yield
-    except (ValueError, OSError, TypeError, IndexError, struct.error, zlib.error) as error:
-        raise _damaged(path.name, str(error)[:100]) from error
-
-
-def _damaged(name: str, why: str) -> RecordingError:
-    return RecordingError(
-        f"{name}: the MAT file is damaged, its elements do not have the sizes that they claim ({why}); check that it "
-        "is complete, or save it again"
-    )
-
-
-def _count_v4(path: Path) -> None:
-    """Count the variables of a v4 MAT file by their heads: each takes scipy a walk over those before it."""
-    length, found = path.stat().st_size, 0
-    with path.open("rb") as stream:
-        head = stream.read(20)
-        order = "<" if len(head) == 20 and struct.unpack("<i", head[:4])[0] in range(5000) else ">"
-        while len(head) == 20:
-            kind, rows, columns, imaginary, name = struct.unpack(f"{order}5i", head)
-            size = _V4_BYTES.get(kind // 10 % 10, 8) * rows * columns * (2 if imaginary else 1) + name
-            if min(kind, rows, columns, name) < 0 or size > length - stream.tell():
-                return  # damaged; scipy says how
-            stream.seek(size, 1)
-            found += 1
-            _refuse_many(found, limits.MAX_PARTS, "variables", path.name)
-            head = stream.read(20)
-
-
-def _refuse_many(found: int, most: int, what: str, name: str) -> None:
-    if found > most:
-        raise RecordingError(f"{name} holds more than {most} {what}; save its channels alone, as vectors")
-
-
-class _Walk:
-    """The elements of a v5 MAT file, gone through and counted before scipy unpacks and builds them."""
-
-    def __init__(self, path: Path, order: str) -> None:
-        self.path, self.tag = path, struct.Struct(f"{order}II")  # type and size of an element
-        self.total = self.nested = self.numbers = 0
-
-    def through(self) -> None:
-        """Go through the variables; each may be compressed."""
-        with self.path.open("rb") as stream:
-            stream.seek(128)
-            found, length = 0, self.path.stat().st_size
-            while len(tag := stream.read(8)) == 8:
-                found += 1
-                _refuse_many(found, limits.MAX_PARTS, "variables", self.path.name)
-                kind, size = self.tag.unpack(tag)
-                left = length - stream.tell()
-                if size > left:  # it would hide those behind it
-                    raise RecordingError(
-                        f"{self.path.name}: the element at byte {stream.tell() - 8} claims {size} bytes, the file has "
-                        f"{left} left; check that it is complete, or save it again"
-                    )
-                end = stream.tell() + size
-                if kind == _COMPRESSED:
-                    self._elements(_Pieces(self, _unpacked(stream, size)))
-                elif kind == _MATRIX:
-                    self._matrix(_Pieces(self, _pieces(stream, size)), size, 1)
-                stream.seek(end)
-
-    def _elements(self, pieces: "_Pieces") -> None:
-        """Go through what a compressed element holds, to its end."""
-        while len(tag := pieces.read(8)) == 8:
-            kind, size = self.tag.unpack(tag)
-            if kind == _MATRIX:
-                self._matrix(pieces, size, 1)
-            else:
-                pieces.skip(size)
-
-    def _matrix(self, pieces: "_Pieces", size: int, depth: int) -> None:
-        """Go through the parts of a matrix; those of structs and cells are matrices themselves."""
-        self.nested += 1
-        _refuse_many(self.nested, limits.MAX_NESTED, "cells and fields", self.path.name)
-        _refuse_many(depth, limits.MAX_DEPTH, "structs or cells within one another", self.path.name)
-        end = pieces.at + size
-        while pieces.at < end and len(tag := pieces.read(8)) == 8:
-            kind, count = self.tag.unpack(tag)
-            if kind >> 16:  # a small element, whose data stand in the tag
-                continue
-            if count > end - pieces.at:
-                raise _damaged(self.path.name, f"one of {count} bytes lies in one with {end - pieces.at} left")
-            if kind == _MATRIX:
-                self._matrix(pieces, count, depth + 1)
-                continue
-            self.numbers += 8 * count // _V5_BYTES.get(kind, 1)  # small whole numbers become doubles of eight bytes
-            refuse_large(self.numbers, self.path.name)
-            pieces.skip(min(count + -count % 8, end - pieces.at))
-
-    def counted(self, size: int) -> None:
-        """Count bytes that were unpacked."""
-        self.total += size
-        refuse_large(self.total, self.path.name)
-
-
-class _Pieces:
-    """A stream of pieces to read from and to skip in, never held whole."""
-
-    def __init__(self, walk: _Walk, pieces: Iterator[bytes]) -> None:
-        self.walk, self.pieces, self.held, self.used, self.at = walk, pieces, b"", 0, 0
-
-    def read(self, size: int) -> bytes:
-        """Bytes from here on, fewer at the end."""
-        found = b""
-        while size > len(found):
-            part = self.held[self.used : self.used + size - len(found)]
-            self.used += len(part)
-            found += part
-            if len(found) < size and not self._more():
-                break
-        self.at += len(found)
-        return found
-
-    def skip(self, size: int) -> None:
-        """Go on without looking."""
-        self.at += size
-        while size > len(self.held) - self.used:
-            size -= len(self.held) - self.used
-            if not self._more():
-                return
-        self.used += size
-
-    def _more(self) -> bool:
-        self.held, self.used = next(self.pieces, b""), 0
-        self.walk.counted(len(self.held))
-        return bool(self.held)
-
-
-def _pieces(stream: IO[bytes], size: int) -> Iterator[bytes]:
-    """So many bytes of a file, in pieces."""
-    while size > 0 and (piece := stream.read(min(size, limits.CHUNK_BYTES))):
-        size -= len(piece)
-        yield piece
-
-
-def _unpacked(stream: IO[bytes], size: int) -> Iterator[bytes]:
-    """Unpack so many bytes of a file, in pieces."""
-    unpacker = zlib.decompressobj()
-    for packed in _pieces(stream, size):
-        left = packed
-        while left:
-            if piece := unpacker.decompress(left, limits.CHUNK_BYTES):
-                yield piece
-            left = unpacker.unconsumed_tail
+        listing = whosmat(path)
+        # math.prod, since the sizes of a damaged file overflow the integers of numpy
+        refuse_large(sum(8 * math.prod(map(int, shape)) for _, shape, kind in listing if kind in _NUMERIC), path.name)
+        wanted = [name for name, _, kind in listing if kind in {*_NUMERIC, "struct", "cell", "char"}]
+        found = loadmat(path, variable_names=wanted, simplify_cells=True) if wanted else {}
+    except (ValueError, OSError, TypeError, IndexError, MemoryError, struct.error, zlib.error) as error:
+        raise RecordingError(
+            f"{path.name}: the MAT file is damaged, its elements do not have the sizes that they claim "
+            f"({str(error)[:100]}); check that it is complete, or save it again"
+        ) from error
+    return {str(name): found.get(name) for name, _, _ in listing}
 
 
 FORMATS = (

@@ -63,35 +63,30 @@ def read_excel(path: Path, sheet: str | None) -> Table:
 
 def _best(tables: dict[str, Table], book: str) -> Table:
     """Choose the sheet that holds a recording, or put together those that are its runs."""
-    claims = {name: _claim(table) for name, table in tables.items()}
+    claims = {}
+    for name, table in tables.items():  # as many rows as a recording has, channels that are named, and named exactly
+        found = [candidates(table, role) for role in ROLES]
+        long = max(c.values.size for c in table.columns) >= limits.MIN_SAMPLES
+        exact = sum(exact and len(columns) == 1 for columns, exact in found)
+        claims[name] = long, sum(bool(columns) for columns, _ in found), exact
     best = max(claims.values())
     equal = [name for name, claim in claims.items() if claim == best]
-    others = [name for name in tables if name not in equal]
-    besides = f"; not read: {', '.join(others[:8])}" if others else ""
     table = tables[equal[0]]
     if len(equal) > 1 and best[1] >= len(ROLES) - 1:
         columns = [replace(c, group=name) for name in equal for c in tables[name].columns]
-        found, told = grouped(columns, book, "/")
+        joined, told = grouped(columns, book, "/")
         if not told:
             raise RecordingError(
                 f"{book}: sheets {', '.join(equal[:8])} all hold what may be the recording; say which with --sheet, as "
                 f"in --sheet {equal[0]!r}"
             )
         notes = dict.fromkeys(finding for name in equal for finding in tables[name].findings)
-        return replace(table, columns=found, findings=(*notes, *told))
+        return replace(table, columns=joined, findings=(*notes, *told))
+    others = [name for name in tables if name not in equal]
+    besides = f"; not read: {', '.join(others[:8])}" if others else ""
     why = "whose header names the channels" if best[1] else "the first with numbers"
     note = Finding("sheet", "assumed", f"sheet {equal[0]!r} is read, {why}{besides}; --sheet NAME takes another")
     return replace(table, findings=(*table.findings, note))
-
-
-def _claim(table: Table) -> tuple[bool, int, int]:
-    """Say how much speaks for a sheet: as many rows as a recording has, channels that are named, and named exactly."""
-    found = [candidates(table, role) for role in ROLES]
-    named, exact = (
-        sum(bool(columns) for columns, _ in found),
-        sum(exact and len(columns) == 1 for columns, exact in found),
-    )
-    return max(c.values.size for c in table.columns) >= limits.MIN_SAMPLES, named, exact
 
 
 def _bounded(path: Path) -> None:
@@ -176,14 +171,10 @@ def _looked_through(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str)
 
 
 def _lines(sheet: Any, book: str, left: list[int]) -> Iterator[list[str]]:
-    """Rows of a sheet as lines of text, without the empty ones, each a block of its own.
-
-    `left` counts the cells down that the sheets of the book may still have. A sheet can claim a cell in its
-    last row; openpyxl then hands out one and the same empty row a million times.
-    """
+    """Rows of a sheet as lines of text, each a block of its own; `left` counts down the cells that may be read."""
     last: Any = None
     for row in sheet.iter_rows(max_row=limits.MAX_SHEET_ROWS, max_col=limits.MAX_COLUMNS, values_only=True):
-        if row is last:
+        if row is last:  # a sheet that claims a cell in its last row gives the same empty row a million times
             continue
         last = row
         left[0] -= len(row)

@@ -1,7 +1,6 @@
 """TDMS files as LabVIEW writes them."""
 
 import logging
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +37,12 @@ def read_tdms(path: Path, sheet: str | None) -> Table:
         channels = [c for c in channels if c.dtype.kind in "fiuM"]
         refuse_large(sum(8 * len(channel) for channel in channels), path.name)
         clocks, words = _clocks([channel for channel in channels if channel.dtype.kind != "M"])
+        stamps = {c.path: np.asarray(c[:]).astype("datetime64[us]") for c in channels if c.dtype.kind == "M"}
+        first_stamp = min((values.min() for values in stamps.values()), default=None)
         columns = []
-        for of, values in _values(channels):
+        for of in channels:  # time stamps as seconds since the first one of the file
+            moments = stamps.get(of.path)
+            values = of[:] if moments is None else (moments - first_stamp) / np.timedelta64(1, "s")
             plain, own = split_header(str(of.name))
             unit = str(of.properties.get("unit_string") or of.properties.get("NI_UnitDescription") or "").strip()
             stated = "s" if of.dtype.kind == "M" else unit or own
@@ -62,10 +65,7 @@ def read_tdms(path: Path, sheet: str | None) -> Table:
 
 
 def _clocks(channels: list[Any]) -> tuple[dict[str, FloatArray], str]:
-    """Give the times of channels that state an interval, s from the first start in the file, and what was assumed.
-
-    The start of a waveform is its ``wf_start_time``, and ``wf_start_offset`` behind it.
-    """
+    """Give the times of channels that state an interval, s from the first start in the file, and what was assumed."""
     stated = {c.path: c for c in channels if 0 < _number(c, "wf_increment") < np.inf}
     starts = {path: _start(c) for path, c in stated.items()}
     known = [start for start in starts.values() if start is not None]
@@ -73,15 +73,12 @@ def _clocks(channels: list[Any]) -> tuple[dict[str, FloatArray], str]:
     made: dict[tuple[float, ...], FloatArray] = {}  # one array for all channels of the same times
     out: dict[str, FloatArray] = {}
     for path, channel in stated.items():
-        begin = starts[path]
+        begin, step, n = starts[path], _number(channel, "wf_increment"), len(channel)
         late = 0.0 if begin is None else float((begin - first) / np.timedelta64(1, "us")) * 1e-6
         late += _number(channel, "wf_start_offset")
-        key = (late, _number(channel, "wf_increment"), float(len(channel)))
-        if not np.isfinite(late):
-            continue
-        if key not in made:
-            made[key] = np.asarray(late + key[1] * np.arange(len(channel)), dtype=np.float64)
-        out[path] = made[key]
+        if np.isfinite(late):
+            times = np.asarray(late + step * np.arange(n), dtype=np.float64)
+            out[path] = made.setdefault((late, step, n), times)
     unknown = [channel.name for path, channel in stated.items() if starts[path] is None]
     words = f"no start is stated for {', '.join(unknown[:8])}; the earliest of the others is taken for it"
     return out, words if known and unknown else ""
@@ -100,15 +97,6 @@ def _start(channel: Any) -> np.datetime64 | None:
     begin = channel.properties.get("wf_start_time")
     begin = begin.as_datetime64("us") if hasattr(begin, "as_datetime64") else begin
     return begin.astype("datetime64[us]") if isinstance(begin, np.datetime64) and not np.isnat(begin) else None
-
-
-def _values(channels: list[Any]) -> Iterator[tuple[Any, Any]]:
-    """Channels and their values; time stamps as seconds since the first one of the file."""
-    stamps = {c.path: np.asarray(c[:]).astype("datetime64[us]") for c in channels if c.dtype.kind == "M"}
-    first = min((values.min() for values in stamps.values()), default=None)
-    for channel in channels:
-        values = stamps.get(channel.path)
-        yield channel, channel[:] if values is None else (values - first) / np.timedelta64(1, "s")
 
 
 FORMATS = (Format("tdms", (".tdms",), read_tdms, sheets=True),)

@@ -34,11 +34,20 @@ _HEAD = 4096  # bytes in which the zeros of UTF-16 are looked for
 
 
 def read_text(path: Path) -> Table:
-    """Read a text table, plain or gzipped."""
-    encoding = find_encoding(path)
-    said = "Latin-1" if encoding == "cp1252" else encoding
-    notes = [] if encoding.startswith("utf-8") else [Finding("encoding", "note", f"text read as {said}")]
-    return table_from_lines(_lines(path, encoding), path.name, notes)
+    """Read a text table, plain or gzipped: UTF-8, -16 or -32 by marks or zeros, else Latin-1 as Windows writes it."""
+    encoding = _by_head(next(_pieces(path), b"")[:_HEAD], path.name)
+    try:
+        return table_from_lines(_lines(path, encoding), path.name, _read_as(encoding))
+    except UnicodeDecodeError as error:
+        if encoding not in ("utf-8", "utf-8-sig"):
+            raise RecordingError(
+                f"{path.name} begins as {encoding} but is damaged ({error.reason}); export it again, as UTF-8"
+            ) from error
+        return table_from_lines(_lines(path, "cp1252"), path.name, _read_as("Latin-1"))
+
+
+def _read_as(encoding: str) -> list[Finding]:
+    return [] if encoding.startswith("utf-8") else [Finding("encoding", "note", f"text read as {encoding}")]
 
 
 def table_from_lines(blocks: Iterable[Sequence[str]], name: str, notes: Iterable[Finding] = ()) -> Table:
@@ -83,56 +92,30 @@ class _Lines:
 
     def __iter__(self) -> Iterator[str]:
         """Give the rows, in the signs of typewriters."""
-        return chain.from_iterable(map(self._rows, self.blocks))
-
-    def _rows(self, block: Sequence[str]) -> Iterable[str]:
-        """Rows of a block, which is nearly always all of it."""
-        if all(map(str.isascii, block)) and _NO_ROW.isdisjoint({line.lstrip()[:1] for line in block}):
-            self.n_rows += len(block)
-            return block
-        return self._one_by_one(block)
-
-    def _one_by_one(self, block: Sequence[str]) -> Iterator[str]:
-        for line in block:
-            text = line.lstrip()
-            if text[:1] not in _NO_ROW:
-                self.n_rows += 1
-                # A minus is a hyphen, whatever a typesetter made of it, and nothing is invisible.
-                yield line if line.isascii() else _MINUS.sub("-", line.translate(_INVISIBLE))
+        for block in self.blocks:
+            if all(map(str.isascii, block)) and _NO_ROW.isdisjoint({line.lstrip()[:1] for line in block}):
+                self.n_rows += len(block)
+                yield from block  # as it is, which nearly all blocks are
                 continue
-            self.passed.append(self.n_rows)
-            if len(self.passed) - self.n_rows > MAX_EMPTY:
-                raise RecordingError(
-                    f"{self.name} holds {MAX_EMPTY} more empty lines and comments than rows of numbers; that is no "
-                    f"recording; export it again, one row on each line"
-                )
-            if text and len(self.comments) < LOOK:
-                self.comments.append(line)
+            for line in block:
+                text = line.lstrip()
+                if text[:1] not in _NO_ROW:
+                    self.n_rows += 1
+                    # A minus is a hyphen, whatever a typesetter made of it, and nothing is invisible.
+                    yield line if line.isascii() else _MINUS.sub("-", line.translate(_INVISIBLE))
+                    continue
+                self.passed.append(self.n_rows)
+                if len(self.passed) - self.n_rows > MAX_EMPTY:
+                    raise RecordingError(
+                        f"{self.name} holds {MAX_EMPTY} more empty lines and comments than rows of numbers; that is no "
+                        f"recording; export it again, one row on each line"
+                    )
+                if text and len(self.comments) < LOOK:
+                    self.comments.append(line)
 
     def line_of(self, row: int) -> int:
         """Give the number of a row's line in the file, counted from 1."""
         return row + 1 + bisect_right(self.passed, row)
-
-
-def find_encoding(path: Path) -> str:
-    """Codec of a text file, plain or gzipped: UTF-8, -16 or -32 by marks or zeros, else Latin-1 as Windows writes it.
-
-    The file is read once to its end.
-    """
-    pieces = _pieces(path)
-    first = next(pieces, b"")
-    encoding = _by_head(first[:_HEAD], path.name)
-    decoder = codecs.getincrementaldecoder(encoding)()
-    try:
-        for piece in chain([first], pieces, [b""]):
-            decoder.decode(piece, final=not piece)
-    except UnicodeDecodeError as error:
-        if encoding not in ("utf-8", "utf-8-sig"):
-            raise RecordingError(
-                f"{path.name} begins as {encoding} but is damaged ({error.reason}); export it again, as UTF-8"
-            ) from error
-        return "cp1252"
-    return encoding
 
 
 def _by_head(head: bytes, name: str) -> str:
@@ -237,10 +220,7 @@ def _with_waves(columns: list[Column], rows: TextRows, findings: list[Finding]) 
 
 
 def _one_time(columns: list[Column], stamps: list[Stamps | None], name: str, findings: list[Finding]) -> list[Column]:
-    """Columns without the times that say the same as another one, as beside each channel of a data logger.
-
-    Where times beside the channels differ, each channel keeps its own.
-    """
+    """Columns without times that say the same as another one; where these differ, each channel keeps its own."""
     named = {i: seconds_of(column) for i, column in enumerate(columns) if "time" in roles_named(column.name)}
     clocks = {i: clock for i, clock in named.items() if clock is not None}
     if len(clocks) < 2:
