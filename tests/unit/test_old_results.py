@@ -56,7 +56,7 @@ def test_what_it_lacks_is_said(old, key):
     record = json.loads((old / "fit.json").read_text(encoding="utf-8"))
     for change in ({}, [], [{"name": "K"}], {"x": 1}):
         (old / "fit.json").write_text(json.dumps(record | {key: change}), encoding="utf-8")
-        with pytest.raises(ShjError, match=r"fit\.json .*run the (fit|command) again"):
+        with pytest.raises(ShjError, match=r"fit\.json .*run (shj-bayes fit|the command) again"):
             (device_from_fit(old, "old", "set") if key == "prior_laws" else render_device(old))
 
 

@@ -23,6 +23,7 @@ from shj_bayes.report.figures.canvas import (
     WIDE,
     Axes,
     Figure,
+    drawn,
     label,
     legend,
     sheet,
@@ -86,10 +87,10 @@ def curve(data: DiagnosisData, c: DependenceRecord) -> dict[str, Any]:
     axes.plot(at, np.where(there, mean, np.nan), color=BLUE, linewidth=1.8, label="curve found")
     if not there.all():
         axes.plot(at, mean, ":", color=BLUE, linewidth=1.0, label="in between, not measured")
-    label(axes, short_name(over + ("" if c.unit in ("", "1") else f" ({c.unit})")), "change (% of Fy)")
-    legend(axes, 3)
+    title = short_name(over + ("" if c.unit in ("", "1") else f" ({c.unit})"))
     what = ("sliding force" if c.action == "capacity" else "added force") + say.way_words(c)
-    return {"address": svg(figure), "of": c, "what": what, "name": name, "over": over}
+    address = drawn(figure, title, "change (% of Fy)", 3)
+    return {"address": address, "of": c, "what": what, "name": name, "over": over}
 
 
 def moves(data: DiagnosisData, at_s: FloatArray, sense: int) -> BoolArray:
@@ -111,10 +112,8 @@ def loop(data: DiagnosisData, run: int) -> dict[str, Any]:
     axes.plot(x, data.before_kN[at], "--" if data.changed else "-", color=BASE, label="base law")
     if data.changed:
         axes.plot(x, data.after_kN[at], color=MORE, label="with what was found")
-    label(axes, "distance from mid-stroke (mm)", "force (kN)", unit_of(data))
-    legend(axes, 3)
-    errors = [float(np.sqrt(np.mean(np.square(r[at])))) for r in data.residuals]
-    return {"address": svg(figure), "run": run, "errors": errors}
+    address = drawn(figure, "distance from mid-stroke (mm)", "force (kN)", 3, unit_of(data))
+    return {"address": address, "run": run, "errors": [float(np.sqrt(np.mean(r[at] ** 2))) for r in data.residuals]}
 
 
 class SignedMeans(NamedTuple):
@@ -256,9 +255,8 @@ def shape(data: DiagnosisData) -> dict[str, str] | None:
         name = column.removesuffix("_kN")
         along = -values if name == "pull" else values
         axes.plot(at, along, f"{marker}-", color=colour, size=4, linewidth=1.2, label=short_name(name))
-    label(axes, short_name(coordinate), "left over (kN)", unit_of(data))
-    legend(axes, 4)
-    return {"address": svg(figure), "coordinate": coordinate}
+    address = drawn(figure, short_name(coordinate), "left over (kN)", 4, unit_of(data))
+    return {"address": address, "coordinate": coordinate}
 
 
 def _side_by_side(panels: Sequence[Axes]) -> None:

@@ -25,6 +25,7 @@ from shj_bayes.report.figures.canvas import (
     WIDE,
     Figure,
     alike,
+    drawn,
     label,
     legend,
     sheet,
@@ -95,9 +96,7 @@ def cycle(runs: Runs, unit: ForceUnit) -> str:
         axes.plot(x, band.median[at], color=colour, linewidth=1.3, label=f"run {run.number}: model")
     axes.plot([], [], ".", label="measured")
     axes.fill([], [], [], color=GREY, alpha=0.3, label="90 % of points expected")
-    label(axes, STROKE, FORCE, unit)
-    legend(axes, 2)
-    return svg(figure)
+    return drawn(figure, STROKE, FORCE, 2, unit)
 
 
 def all_cycles(run: RunData, band: Band, unit: ForceUnit) -> str:
@@ -112,9 +111,7 @@ def all_cycles(run: RunData, band: Band, unit: ForceUnit) -> str:
     axes.plot(x[::step], run.force_kN[::step], linewidth=0.6, alpha=0.8, label="measured")
     axes.plot(x[::step], band.median[::step], color=RED, linewidth=0.8, label="model (median)")
     axes.fill([], [], [], color=BLUE, alpha=0.3, label="90 % band")
-    label(axes, STROKE, FORCE, unit)
-    legend(axes, 3)
-    return svg(figure)
+    return drawn(figure, STROKE, FORCE, 3, unit)
 
 
 def over_time(run: RunData, band: Band, unit: ForceUnit) -> str:
@@ -182,9 +179,7 @@ def over_speed(runs: Runs, unit: ForceUnit) -> str:
         axes.plot(speed[keep], band.median[keep], ".", color=colour, size=2.2, alpha=0.6)
         axes.plot([], [], ".", color=colour, size=7, label=f"run {run.number}: model")
     axes.plot([], [], ".", size=7, label="measured")
-    label(axes, "velocity (mm/s)", FORCE, unit)
-    legend(axes, 3)
-    return svg(figure)
+    return drawn(figure, "velocity (mm/s)", FORCE, 3, unit)
 
 
 def _numbered(cycles: Sequence[Cycles]) -> Iterator[tuple[Cycles, str, FloatArray]]:
@@ -197,11 +192,8 @@ def _numbered(cycles: Sequence[Cycles]) -> Iterator[tuple[Cycles, str, FloatArra
 
 def _over_cycles(figure: Figure, y: str, columns: int, unit: ForceUnit = KN) -> str:
     """Titles and key of a diagram over the cycles."""
-    axes = figure.axes[0]
-    axes.whole = True
-    label(axes, "cycle, in the order they were made", y, unit)
-    legend(axes, columns)
-    return svg(figure)
+    figure.axes[0].whole = True
+    return drawn(figure, "cycle, in the order they were made", y, columns, unit)
 
 
 def energy(cycles: Sequence[Cycles]) -> str:
@@ -253,9 +245,7 @@ def backbone(cycles: Sequence[Cycles], unit: ForceUnit) -> str:
         axes.plot(c.turn_mm[order], c.model_turn_kN[order], color=colour, linewidth=1.3)
         axes.plot(c.turn_mm, c.turn_kN, "o", color=colour, hollow=True)
         axes.plot([], [], "o-", color=colour, label=f"run {c.run}")
-    label(axes, STROKE, FORCE, unit)
-    legend(axes, 3)
-    return svg(figure)
+    return drawn(figure, STROKE, FORCE, 3, unit)
 
 
 def prior(b: Beforehand, unit: ForceUnit) -> str:
@@ -276,9 +266,7 @@ def prior(b: Beforehand, unit: ForceUnit) -> str:
     reach = 1.15 * float(np.quantile(np.abs(b.prior_kN).max(axis=1), 0.97))
     reach = max(reach, 1.1 * float(np.abs(b.posterior_kN).max()))
     axes.y_range = (-reach, reach)
-    label(axes, STROKE, FORCE, unit)
-    legend(axes, 3)
-    return svg(figure)
+    return drawn(figure, STROKE, FORCE, 3, unit)
 
 
 def over_stroke(profiles: Sequence[StrokeProfile], unit: ForceUnit) -> str:
@@ -290,9 +278,7 @@ def over_stroke(profiles: Sequence[StrokeProfile], unit: ForceUnit) -> str:
         axes.plot(profile.centre_mm, profile.mean_kN, style, color=colour, size=4, linewidth=1.2, label=name)
     axes.fill([], [], [], color=GREY, alpha=0.3, label="noise alone (90 %)")
     axes.across(0)
-    label(axes, STROKE, "mean residual (kN)", unit)
-    legend(axes, 2)
-    return svg(figure)
+    return drawn(figure, STROKE, "mean residual (kN)", 2, unit)
 
 
 def corner(draws: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
