@@ -78,7 +78,12 @@ def content(device: DeviceData, numbers: DeviceFigures, left: LeftOver) -> dict[
         "freed": freed_words(device),
         "before": before_words(numbers.before, unit),
         "force_unit": unit.name,
-        "priors": prior_rows(device, unit),
+        "priors": [
+            (law, *unit.of(law.unit), np.quantile(device.prior[law.name], LEVELS), after)
+            for law in record.prior_laws
+            for after in rows
+            if after.name == law.name
+        ],
         "made": _day(record.created),
         "model": replace(record.model, variant=variant_named(record.model.variant)),
         "record": record,
@@ -147,27 +152,6 @@ def cards(record: FitRecord, rows: list[ParameterRow], one_speed: bool) -> list[
             card |= {"value": words.rounded(row.q50, row.sd), "exact": repr(row.q50)}
             card["note"] = note + ("; one peak speed only: it may be place, not speed" if note and one_speed else "")
         out.append(card)
-    return out
-
-
-def prior_rows(device: DeviceData, unit: ForceUnit) -> list[dict[str, str]]:
-    """Each parameter before and after the test."""
-    after, out = {row.name: unit.row(row) for row in device.record.parameters}, []
-    for law in device.record.prior_laws:
-        shown, factor = unit.of(law.unit)
-        low, middle, high = factor * np.quantile(device.prior[law.name], LEVELS)
-        coarse = (high - low) / 10  # the middle of some draws: no more digits than their range makes meaningful
-        out.append(
-            {
-                "name": law.name,
-                "unit": "" if shown == "1" else shown,
-                "before": f"{words.short(low)} to {words.short(high)}",
-                "middle": words.rounded(middle, coarse).replace("-0.000", "0.000"),
-                "after": words.interval(after[law.name]),
-                "law": f"{law.law} ({law.a:g}, {law.b:g})",
-                "source": law.source,
-            }
-        )
     return out
 
 
