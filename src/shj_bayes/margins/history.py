@@ -355,13 +355,11 @@ def published_factors(speed_mm_s: float) -> str:
     Eq. (2) multiplies the force by 1 + v/dep; fitted at one peak speed that is a tangent, not a law.
     """
     up, down = (1.0 + speed_mm_s / dep for dep in PUBLISHED_DEP)
+    tangent = (
+        ": a friction force that pushes the way it moves, and feeds energy in. That is the tangent of a curve "
+        "at one speed, drawn on as a line, and means nothing there."
+    )
     return (
         f"At {speed_mm_s:.4g} mm/s the published law multiplies the sliding force by {up:.3g} for dep = +30 mm/s and "
-        f"by {down:.3g} for dep = -30 mm/s"
-        + (
-            ": a friction force that pushes the way it moves, and feeds energy in. That is the tangent of a curve "
-            "at one speed, drawn on as a line, and means nothing there."
-            if down < 0
-            else "."
-        )
+        f"by {down:.3g} for dep = -30 mm/s{tangent if down < 0 else '.'}"
     )

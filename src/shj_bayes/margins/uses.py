@@ -160,14 +160,14 @@ def _together(one: OneSet) -> Iterator[Margin]:
         return
     inputs = f"{n} connections of one delivery: the level of the set is common, the scatter about it is their own{said}"
     note = "smallest plateaus, and largest forces, need not come at the same moment: their sum is on the safe side"
-    for kind, take, sides, what in (
-        (SUM, np.sum, (LOW, HIGH), {LOW: "drift of the storey", HIGH: "base shear, foundation"}),
-        (LARGEST, np.max, (HIGH,), {HIGH: f"members beside any of {n} connections"}),
+    for kind, take, side, what in (
+        (SUM, np.sum, LOW, "drift of the storey"),
+        (SUM, np.sum, HIGH, "base shear, foundation"),
+        (LARGEST, np.max, HIGH, f"members beside any of {n} connections"),
     ):
-        for side in sides:
-            number = of_many(one, side, n, lambda drawn, take=take: take(drawn, axis=0), own_sd)  # type: ignore[misc]
-            formula = f"{force.level(side)} % of the {kind.partition(' ')[0]} of {n} x {WHAT[side]}"
-            yield one.row(kind, side, "kN", number, formula, inputs, what[side], note if kind == SUM else "")
+        number = of_many(one, side, n, lambda drawn, take=take: take(drawn, axis=0), own_sd)  # type: ignore[misc]
+        formula = f"{force.level(side)} % of the {kind.partition(' ')[0]} of {n} x {WHAT[side]}"
+        yield one.row(kind, side, "kN", number, formula, inputs, what, note if kind == SUM else "")
 
 
 def _of_bolts(one: OneSet) -> Iterator[Margin]:
