@@ -293,10 +293,15 @@ class DeviceModel:
     def acting(self, theta: FloatArray, run: int) -> Iterator[tuple[Base, list[tuple[Effect, dict[str, float]]]]]:
         """Law of a run and the effects with their values, for each of some parameter sets, shape (m, d)."""
         laws, first = self.run_laws(theta, run).tolist(), self.names.index("Fy")
-        places = [(e, [(p.name, self.names.index(f"{e.id}.{p.name}")) for p in e.parameters]) for e in self.effects]
         for own, (stiffness, capacity, beta, gamma) in zip(theta.tolist(), laws, strict=True):
             base = Base(stiffness, capacity, beta, gamma, own[first])
-            yield base, [(effect, {name: own[i] for name, i in at}) for effect, at in places]
+            yield base, [(effect, {name: own[i] for name, i in at}) for effect, at in self._places]
+
+    @cached_property
+    def _places(self) -> list[tuple[Effect, list[tuple[str, int]]]]:
+        """Effects, and the names of their parameters with their places in a parameter set."""
+        at = {name: i for i, name in enumerate(self.names)}
+        return [(e, [(p.name, at[f"{e.id}.{p.name}"]) for p in e.parameters]) for e in self.effects]
 
     def force(self, theta: FloatArray, history: History, start_force_kN: float) -> FloatArray:
         """Force of one run without noise, kN, for parameter sets in natural units, shape (m, d) to (m, n_samples).

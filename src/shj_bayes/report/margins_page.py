@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from shj_bayes.margins.codes.bounds import LBDP, UBDP, kind_of
-from shj_bayes.margins.files import CardLine, card_of, degrees_words, facts_of, shown
+from shj_bayes.margins.files import card_of, degrees_words, facts_of, shown
 from shj_bayes.margins.history import published_factors
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet
 from shj_bayes.margins.spread import DESIGN, HIGH, LOW, MIDDLE, SPREAD, USE, Key, Margin
@@ -92,7 +92,7 @@ def shown_cards(sheet: Sheet) -> list[dict[str, Any]]:
         {
             "name": name_of(name),
             "facts": list(facts_of(sheet, name)),
-            "lines": [line_words(line, several=several) for line in card_of(sheet, name)],
+            "lines": [line_words(*line, several=several) for line in card_of(sheet, name)],
             "curve": curve_rows([p for p in sheet.over_amplitude if p.set_name == name]),
         }
         for name in sheet.spoken
@@ -113,22 +113,19 @@ def curve_rows(points: Sequence[CyclePoint]) -> list[list[str]]:
     return rows
 
 
-def line_words(line: CardLine, *, several: bool = False) -> dict[str, Any]:
+def line_words(use: str, clause: str, by_side: Mapping[str, Margin], *, several: bool = False) -> dict[str, Any]:
     """Give a line of a card as texts: use, values, unit, largest error from the draws, clause with what to mind.
 
     ``main`` is what to use first, of one connection or of `several`; ``own`` what no design code states.
     """
-    rows = list(line.values.values())
-    first, error = rows[0], max(row.monte_carlo_error for row in rows)
-    return {
-        "use": line.use,
-        "values": [told(row) if row else "" for row in (line.low, line.middle, line.high)],
-        "unit": "" if first.unit == "1" else first.unit,
-        "clause": "; ".join(filter(None, dict.fromkeys([line.clause, *(row.warning for row in rows)]))),
-        "error": f"{float(f'{error:.1g}'):g}" if error else "",  # one digit, and 10 in the place of 1e+01
-        "main": first.kind in (SUM, LARGEST) if several else first.method == DESIGN,
-        "own": first.method in (DESIGN, USE),
-    }
+    rows = list(by_side.values())
+    values = [told(by_side[side]) if side in by_side else "" for side in (LOW, MIDDLE, HIGH)]
+    notes = [clause, *(row.warning for row in rows if row.warning)]
+    unit, error = "" if rows[0].unit == "1" else rows[0].unit, max(row.monte_carlo_error for row in rows)
+    said = {"use": use, "values": values, "unit": unit, "clause": "; ".join(filter(None, dict.fromkeys(notes)))}
+    said["error"] = f"{float(f'{error:.1g}'):g}" if error else ""  # one digit, and 10 in the place of 1e+01
+    main = rows[0].kind in (SUM, LARGEST) if several else rows[0].method == DESIGN
+    return said | {"main": main, "own": rows[0].method in (DESIGN, USE)}
 
 
 def band_words(index: Mapping[Key, Margin], name: str, quantity: str, factor: float = 1.0) -> list[str]:

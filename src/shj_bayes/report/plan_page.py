@@ -171,10 +171,10 @@ def _devices(record: PlanRecord) -> dict[str, str]:
     table = record.further_devices.table if record.further_devices else ()
     if not table:
         return {}
-    n = [row.n_further for row in table]
+    n = [row["n_further"] for row in table]
     figure, axes = sheet(WIDE, 216)
     axes.across(100 * WITHIN, "--", label="wanted")
-    axes.plot(n, [100 * row.half_width_expected for row in table], "o-", color=BLUE, size=4, label="typical")
-    assured = [100 * row.half_width_assured for row in table]
+    axes.plot(n, [100 * row["half_width_expected"] for row in table], "o-", color=BLUE, size=4, label="typical")
+    assured = [100 * row["half_width_assured"] for row in table]
     axes.plot(n, assured, "s-", color=RED, size=4, label="kept with a chance of 80 %")
     return {"devices": drawn(figure, "further devices", "half width (% of the force)", 3)}

@@ -107,15 +107,15 @@ def _wrong(value: Any, allowed: str, at: str) -> WrongValueError:
 
 @cache
 def fields_of(kind: Any) -> tuple[tuple[str, str, bool, Any, bool], ...]:
-    """Fields that files hold: key (a field ``class_`` is ``class`` there), name, whether it must be there, type.
+    """Fields that files hold: key, name, whether it must be there, type, whether it is written only where not None.
 
-    Last stands whether it is written only where it is not None.
+    A field ``class_`` has the key ``class``, one with ``metadata["key"]`` that one.
     """
     hints = get_type_hints(kind, include_extras=True)
     return tuple(
         (key, f.name, f.default is MISSING and f.default_factory is MISSING, hints[f.name], "if_known" in f.metadata)
         for f in fields(kind)
-        for key in [f.name.rstrip("_")]
+        for key in [f.metadata.get("key", f.name.rstrip("_"))]
     )
 
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
@@ -139,6 +140,25 @@ def read_arrays(path: Path, kind: type[Stored], sha256: str | None) -> dict[str,
         refuse_packed(path, kind.ERROR)
         with np.load(path, allow_pickle=False) as archive:
             return {key: archive[key] for key in archive.files}
+
+
+def packed(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Arrays as one of each kind, with an index of them: hundreds of small ones take long to find in a file."""
+    kinds: dict[str, list[tuple[str, Any]]] = {}
+    for name, array in arrays.items():
+        kinds.setdefault(array.dtype.name, []).append((name, array))
+    index = json.dumps({kind: [(name, array.shape) for name, array in own] for kind, own in kinds.items()})
+    whole = {kind: np.concatenate([array.ravel() for _, array in own]) for kind, own in kinds.items()}
+    return {"index": np.frombuffer(index.encode(), np.uint8), **whole}
+
+
+def unpacked(whole: Mapping[str, Any]) -> dict[str, Any]:
+    """Undo `packed`."""
+    out: dict[str, Any] = {}
+    for kind, own in json.loads(whole["index"].tobytes()).items():
+        parts = np.split(whole[kind], np.cumsum([math.prod(shape) for _, shape in own])[:-1])
+        out |= {name: part.reshape(shape) for (name, shape), part in zip(own, parts, strict=True)}
+    return out
 
 
 class Group(NamedTuple):
