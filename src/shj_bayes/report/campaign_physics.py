@@ -88,21 +88,20 @@ def table(together: Iterable[SetTogether]) -> dict[str, Any] | None:
         for shared in group.classes:
             by_class.setdefault(shared.id, {})[group.set] = shared
     kept, excluded = [], dict[str, list[str]]()  # classes by what they act on
-    for one in sorted(by_class, key=str):
-        rows = by_class[one].values()
+    for key in sorted(by_class, key=str):
+        rows = by_class[key].values()
         if any(row.probability >= ALPHA or any(row.alone) for row in rows):
-            kept.append((max(row.probability for row in rows), one))
+            kept.append((max(row.probability for row in rows), key))
         else:
-            excluded.setdefault(ACTS.get(one.action, one.action), []).append(
-                PLAIN.get(one) or over_words(one.coordinate)
-            )
+            word = PLAIN.get(key) or over_words(key.coordinate)
+            excluded.setdefault(ACTS.get(key.action, key.action), []).append(word)
     kept.sort(key=lambda found: -found[0])
     if not groups:
         return None
     return {
         "sets": [{"name": group.set or ALL, "n": len(group.devices)} for group in groups],
         "classes": [
-            {"words": class_words(one), "cells": [by_class[one].get(group.set) for group in groups]} for _, one in kept
+            {"words": class_words(key), "cells": [by_class[key].get(group.set) for group in groups]} for _, key in kept
         ],
         "excluded": excluded,
     }
