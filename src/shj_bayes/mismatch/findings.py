@@ -381,19 +381,23 @@ def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tu
     forms = {own.variant.effect.id: h}
     for form in out.fitter.forms(h, place):
         new, name = out.fitter.fitted(replaced(h, place, form), form.start), form.variant.effect.id
-        if new is None or (name in forms and new.log_weight <= forms[name].log_weight):
+        if new is None or (name in forms and _height(new, place) <= _height(forms[name], place)):
             continue
         if name in forms or largest_size_of(out.data, new, place) >= MIN_EFFECT:
             forms[name] = new
-    whole = float(logsumexp([one.log_weight for one in forms.values()]))
     by_mechanism: dict[str, list[Hypothesis]] = {}
     for one in forms.values():
         by_mechanism.setdefault(one.members[place].variant.effect.mechanism, []).append(one)
-    shares = {
-        name: min(sum(math.exp(one.log_weight - whole) for one in ones), 1.0) for name, ones in by_mechanism.items()
-    }
+    heights = {name: [_height(one, place) for one in ones] for name, ones in by_mechanism.items()}
+    whole = float(logsumexp([height for own in heights.values() for height in own]))
+    shares = {name: min(sum(math.exp(height - whole) for height in own), 1.0) for name, own in heights.items()}
     ranked = sorted(shares.items(), key=lambda item: -item[1])
-    return max(by_mechanism[ranked[0][0]], key=lambda one: one.log_weight), most_probable(ranked)
+    return max(by_mechanism[ranked[0][0]], key=lambda one: _height(one, place)), most_probable(ranked)
+
+
+def _height(h: Hypothesis, place: int) -> float:
+    """Log weight of a hypothesis but for that of the formula in a place, which may be that of all formulas there."""
+    return h.log_weight - math.log(h.members[place].variant.weight)
 
 
 def most_probable(ranked: Sequence[tuple[T, float]]) -> tuple[tuple[T, float], ...]:
@@ -403,10 +407,15 @@ def most_probable(ranked: Sequence[tuple[T, float]]) -> tuple[tuple[T, float], .
 
 
 def _p_value(out: Search) -> float:
-    """Bound on the chance of such evidence: under the null a Bayes factor of k has a chance of at most 1/k (Ville)."""
+    """Bound on the chance of such evidence: under the null a Bayes factor of k has a chance of at most 1/k (Ville).
+
+    Of something over nothing: the mean over all sets of the classes that are looked for, each with its probability
+    before the test; those that were not fitted count as 0.
+    """
     base = out.found[frozenset()].log_weight
     rest = [h.log_weight for key, h in out.found.items() if key]
-    factor = logsumexp(rest) - base if rest else -math.inf
+    something = math.expm1(-len(out.fitter.classes) * math.log1p(-PRIOR_INCLUSION))  # odds before the test
+    factor = logsumexp(rest) - base - math.log(something) if rest else -math.inf
     return float(min(1.0, math.exp(-factor))) if factor > 0 else 1.0
 
 

@@ -12,14 +12,13 @@ from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.start import start_values
 from shj_bayes.mismatch.data import BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.hypothesis import (
-    FORMS,
     LOG_PRIOR_ODDS,
     Candidate,
     Dependence,
     Hypothesis,
-    Parametrisation,
     cancel,
     columns_of,
+    formulas,
     same_twice,
     size_weights,
     without,
@@ -29,9 +28,9 @@ from shj_bayes.mismatch.periodic import follows_cycles, is_over_a_clock, waves
 from shj_bayes.mismatch.screen import screen
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.effects.effect import catalogue
 
 WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
+NEARLY = 2.0  # nats; formulas that are worse than the best by more add little to the weight of their class
 FLAT = 1e3  # of Fy: a constant force as large as any
 
 
@@ -117,13 +116,24 @@ class Fitter:
     def best_fitted(
         self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]], floor: float = -math.inf
     ) -> Hypothesis | None:
-        """Fit hypotheses, each from the start of a form, from the best start on; the most probable one, if any."""
-        best = None
+        """Fit hypotheses that differ in the formula of one class, each from the start of a form; the most probable one.
+
+        The formula of the best one stands for all that do nearly as well, and has the weight of them all: it is the
+        class that is weighed. None where there is no fit.
+        """
+        ones: dict[str, tuple[Hypothesis, Candidate]] = {}
+        floor -= NEARLY
         for members, form in sorted(tried, key=lambda one: -one[1].gain):
-            one = self.fitted(members, form.start, floor)
-            if one is not None and (best is None or one.log_weight > best.log_weight):
-                best, floor = one, max(floor, one.log_weight)
-        return best
+            one, name = self.fitted(members, form.start, floor), form.variant.effect.id
+            if one is not None and (name not in ones or one.log_weight > ones[name][0].log_weight):
+                ones[name], floor = (one, form), max(floor, one.log_weight - NEARLY)
+        if not ones:
+            return None
+        best, own = max(ones.values(), key=lambda pair: pair[0].log_weight)
+        more = float(np.logaddexp.reduce([one.log_weight for one, _ in ones.values()])) - best.log_weight
+        all_of_them = replace(own, variant=replace(own.variant, weight=own.variant.weight * math.exp(more)))
+        members = tuple(all_of_them if m is own else m for m in best.members)
+        return replace(best, members=members, log_weight=best.log_weight + more)
 
     def with_own_noise(self, h: Hypothesis, start: ErrorParameters) -> Hypothesis | None:
         """Fit a hypothesis under the noise that is most probable beside it, searched for from a start."""
@@ -157,14 +167,12 @@ class Fitter:
         `at` is the place of the class among the members, and of its parameters among theirs; the last by default.
         """
         (place, first), data = at or (len(members), z.size), self.metric.data
-        acts, nothing, out = (of.action, of.coordinate), np.zeros((data.blocks.used.size, 0)), []
-        known = [e for e in catalogue().values() if acts in e.acts and e.mechanism not in self.hidden]
-        for effect in known:
-            variant = Parametrisation(None, effect, FORMS / max(len(known), 1))
+        nothing, out = np.zeros((data.blocks.used.size, 0)), []
+        for variant in formulas((of.action, of.coordinate), self.hidden):
             form = Candidate(of, variant, z, nothing, data.device)
             model = self.model_of((*members[:place], form, *members[place:]))
-            values = start_values(effect)
-            if effect.parameters[0].either_sign:  # a size of either sign
+            values = start_values(variant.effect)
+            if variant.effect.parameters[0].either_sign:  # a size of either sign
                 values[0] = sorted({*values[0], *(-value for value in values[0])})
             tails = [np.array(tail) for tail in product(*values)]
             starts = np.array([np.insert(z, first, tail) for tail in tails])
@@ -193,7 +201,7 @@ def noise_beside(
             continue
         seen.add(kind)
         columns.append(WIDE * c.columns)
-    columns.append(FLAT * data.missed.zeros * data.scale_kN)  # a constant says nothing of the noise
+    columns.append(FLAT * data.zeros * data.scale_kN)  # a constant says nothing of the noise
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
     return ErrorModel(data, find_noise(data, state, wide, start, data.noise_most_kN), state.slope)
 

@@ -27,7 +27,7 @@ EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where i
 PRIOR_INCLUSION = 0.05  # probability of each class before the test: about one in a device
 LOG_PRIOR_ODDS = math.log(PRIOR_INCLUSION / (1.0 - PRIOR_INCLUSION))
 TYPICAL, SPREAD = 0.04, 1.2  # of Fy, and of its logarithm: how large a curve is where there is one
-FORMS = 0.5  # probability that a dependence has one of the published formulas of its coordinate
+FORMS = 0.5  # probability that a dependence that may be a curve has one of the published formulas of its coordinate
 FEW_STARTS = 12  # formulas with more are tried in the place of a curve only
 CURVES = (
     *dict.fromkeys(("capacity", one.group or one.id) for one in coordinates().values() if one.times is None),
@@ -85,39 +85,43 @@ def classes(
 
     `measured` holds further channels of the recordings by coordinate: clamping may follow each.
     """
-    known = catalogue()
-    by_class: dict[tuple[str, str], list[Effect]] = {}
-    for effect in known.values():
-        for key in effect.acts:
-            by_class.setdefault(key, []).append(effect)
     out = []
-    for key, effects in by_class.items():
-        if all(effect.mechanism in hidden for effect in effects):
-            continue
+    for key in dict.fromkeys(key for effect in catalogue().values() for key in effect.acts):
         action, name = key
-        shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
-        if key in CURVES:
-            over = coordinates_of(name)
-            smooth = (1.0 - FORMS) * (1.0 - over[0].repeats)
-            sides = over[0].sides if action == "capacity" else 0.0
-            variants = tuple(
-                Parametrisation(
-                    curve := Curve(action, u.id, length, own), curve.effect(), smooth * weight * share / len(over)
-                )
-                for u in over
-                for length, weight in u.lengths.items()
-                for own, share in ((False, 1.0 - sides), (True, sides))
-                if share
+        written = formulas(key, hidden)
+        shown = [one for one in written if not one.effect.form]
+        if not shown:
+            continue
+        if key not in CURVES:
+            out.append(Dependence(action, name, "1", tuple(shown)))
+            continue
+        over = coordinates_of(name)
+        smooth = (1.0 - FORMS) * (1.0 - over[0].repeats)
+        sides = over[0].sides if action == "capacity" else 0.0
+        variants = [
+            Parametrisation(
+                curve := Curve(action, u.id, length, own), curve.effect(), smooth * weight * share / len(over)
             )
-            few = [effect for effect in shown if math.prod(map(len, start_values(effect))) <= FEW_STARTS]
-            variants += tuple(Parametrisation(None, effect, FORMS / len(shown)) for effect in few)
-            out.append(Dependence(action, name, over[0].unit, variants))
-        else:
-            variants = tuple(Parametrisation(None, effect, 1.0 / len(shown)) for effect in shown)
-            out.append(Dependence(action, name, "1", variants))
+            for u in over
+            for length, weight in u.lengths.items()
+            for own, share in ((False, 1.0 - sides), (True, sides))
+            if share
+        ]
+        few = [one for one in shown if math.prod(map(len, start_values(one.effect))) <= FEW_STARTS]
+        out.append(Dependence(action, name, over[0].unit, (*variants, *few)))
     both = {name: one.unit for name, one in coordinates().items() if one.times is not None}
     rest = [_without_formula(name, unit, PRIOR_INCLUSION * (1.0 - FORMS)) for name, unit in both.items()]
     return (*out, *rest, *(_without_formula(name, one.unit) for name, one in measured.items() if name not in hidden))
+
+
+def formulas(key: tuple[str, str], hidden: frozenset[str] = frozenset()) -> list[Parametrisation]:
+    """Give the formulas of a class, by action and coordinate, each as probable before the test as the others.
+
+    Together they have what a curve leaves them, or all where there is none: more of them make no class more probable.
+    """
+    known = [effect for effect in catalogue().values() if key in effect.acts and effect.mechanism not in hidden]
+    share = FORMS if key in CURVES else 1.0
+    return [Parametrisation(None, effect, share / len(known)) for effect in known]
 
 
 def _without_formula(name: str, unit: str, weight: float = 1.0) -> Dependence:
@@ -234,7 +238,7 @@ def cancel(state: Laplace, members: tuple[Candidate, ...]) -> bool:
 
 MOTION = "motion"
 N_SIZES = 60  # draws from which the upper limit of a size is taken
-NO_FORCE = 1e6  # size of a draw whose force is not finite
+STEP = 1e-3  # of a parameter in its unbounded space, for derivatives of the force of a member
 
 
 def size_of(data: BinnedData, h: Hypothesis, place: int) -> float:
@@ -242,33 +246,30 @@ def size_of(data: BinnedData, h: Hypothesis, place: int) -> float:
 
     The 99th percentile of its force that the base law could not make, by `visible`; of a constant, all of it.
     """
-    return float(_sizes_at(data, h, place, h.state.z[None])[0])
+    return float(_sizes(data, h, place, h.state.z[None])[0])
 
 
 def largest_size_of(data: BinnedData, h: Hypothesis, place: int) -> float:
     """Upper limit of the size of a member, exceeded with a probability of `ALPHA`, a share of Fy."""
-    return float(np.quantile(sizes_of(data, h, place), 1.0 - ALPHA))
+    return float(np.quantile(_sizes(data, h, place, drawn_from(h.state, N_SIZES)), 1.0 - ALPHA))
 
 
-def sizes_of(data: BinnedData, h: Hypothesis, place: int) -> FloatArray:
-    """Sizes of a member for draws of the parameters of its model, shape (N_SIZES,), as shares of Fy.
+def _sizes(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
+    """Size of a member for each of some parameter sets of its model, shape (m, n_law) to (m,), to first order.
 
-    Far from what fits a model may have no force at all; nothing says that the member is small there.
+    Farther from the most probable parameters a formula has forces that the recording refuses, but no Gaussian around
+    them does. What acts on the motion makes its force between the bends of the base law, where the blocks of a search
+    are long. A constant is as large as it is: the law makes none, also where it begins loaded by it.
     """
-    return np.nan_to_num(_sizes_at(data, h, place, drawn_from(h.state, N_SIZES)), nan=NO_FORCE, posinf=NO_FORCE)
-
-
-def _sizes_at(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
-    """Size of a member for each of some parameter sets of its model, shape (m, n_law) to (m,).
-
-    What acts on the motion makes its force between the bends of the base law, where the blocks of a search are long. A
-    constant is as large as it is: the law makes none, also where it begins loaded by it.
-    """
-    if h.members[place].of.id == CONSTANT:
-        return np.asarray(np.abs(force_of(data, h, place, z)[:, data.blocks.used > 0]).max(axis=1) / data.scale_kN)
     if h.members[place].of.action == MOTION:
         data = data.finer_at(h.state.model, h.state.z)
-    return visible(data, _law_slopes(h, data), force_of(data, h, place, z).T)
+    away = z - h.state.z
+    moves = np.flatnonzero(np.any(away != 0.0, axis=0))
+    forces = force_of(data, h, place, h.state.z + STEP * np.vstack([np.zeros(z.shape[1]), np.eye(z.shape[1])[moves]]))
+    forces = forces[0] + away[:, moves] @ ((forces[1:] - forces[0]) / STEP)
+    if h.members[place].of.id == CONSTANT:
+        return np.asarray(np.abs(forces[:, data.blocks.used > 0]).max(axis=1) / data.scale_kN)
+    return visible(data, _law_slopes(h, data), forces.T)
 
 
 def force_of(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:

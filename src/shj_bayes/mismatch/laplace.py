@@ -138,8 +138,9 @@ def zero_of(metric: ErrorModel, state: Laplace) -> tuple[float, float]:
     """Mean and standard deviation of the error of the load cell's zero, averaged over the runs, kN."""
     columns = np.column_stack([metric.whitened(state.beside()), metric.other])
     whole = Gaussian.of(columns.T @ columns)
-    zero = metric.data.missed.zero_kN / metric.data.missed.zero_kN.size
-    weights = np.append(np.zeros(whole.along.size - zero.size), zero)
+    n = len(metric.data.blocks)
+    zeros_kN = metric.data.missed_sizes(0.0)[-n:]
+    weights = np.append(np.zeros(whole.along.size - n), zeros_kN / n)
     return float(weights @ whole.mean), math.sqrt(float(weights @ whole.solve(weights)))
 
 
@@ -157,7 +158,7 @@ def find_noise(
     `ErrorParameters.size_kN`.
     A run holds at least `VALUES_SEEN` independent values of it (two memories are from one to the next).
     """
-    missed = data.missed.columns(state.slope)
+    missed = data.missed_at(state.slope)
     beside = np.column_stack([state.beside(columns), missed])
     known = np.ones(beside.shape[1] - 1 - missed.shape[1])
     unit = MODEL_ERROR * data.scale_kN
@@ -179,7 +180,7 @@ def find_noise(
         noise = setting(u)
         inner, constant = products(replace(noise, model_error_kN=unit))  # which whitens nothing
         constant += noise.log_prior(data)
-        sizes = np.append(known, data.missed.sizes(noise.model_error_kN))
+        sizes = np.append(known, data.missed_sizes(noise.model_error_kN))
         try:
             return -Gaussian.of(inner, constant).sized(sizes).log_evidence
         except np.linalg.LinAlgError:  # noise so small that rounding tells nothing of one column beside the others

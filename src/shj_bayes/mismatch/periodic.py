@@ -221,7 +221,7 @@ def _finest(data: BinnedData, state: Laplace, over: Coordinate) -> BinnedData | 
     if fastest >= MOST_TURNS / 2.0 * slowest:
         return None
     if is_clock(over):
-        return data.finer
+        return data.finer_at(data.device, data.z)
     history = data.blocks[0].history
     low, high = over.reach(history)
     shortest = (high - low) / MOST_TURNS
