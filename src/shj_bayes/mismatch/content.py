@@ -11,11 +11,11 @@ from shj_bayes.inference.binning import Run, further_of, measured_of
 from shj_bayes.mismatch.data import BinnedData
 from shj_bayes.mismatch.findings import Answer, FoundEffect, Reason, curve_band, rivals_of
 from shj_bayes.mismatch.heldout import PARTS, HeldOut, Proven, cycles_of
-from shj_bayes.mismatch.hypothesis import TEETH, formula_of
+from shj_bayes.mismatch.hypothesis import TEETH
 from shj_bayes.mismatch.laplace import Laplace, drawn_from
 from shj_bayes.mismatch.moves import LARGEST_OF, Search
 from shj_bayes.mismatch.periodic import EQUATION, SHOWS, STATEMENT, SURE
-from shj_bayes.mismatch.regions import WORDS, run_of
+from shj_bayes.mismatch.regions import WORDS, formula_of, run_of
 from shj_bayes.model.effects.effect import Effect, catalogue
 from shj_bayes.model.history import coordinate_of
 from shj_bayes.model.parameters import LAW_PARAMETERS, base_and_run

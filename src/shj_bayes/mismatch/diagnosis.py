@@ -24,11 +24,10 @@ from shj_bayes.mismatch import content
 from shj_bayes.mismatch.data import ErrorModel, data_of
 from shj_bayes.mismatch.findings import Answer, curve_band
 from shj_bayes.mismatch.heldout import Proven, proven
-from shj_bayes.mismatch.hypothesis import LOG_PRIOR_ODDS, Candidate, Hypothesis, classes, unit_columns
+from shj_bayes.mismatch.hypothesis import LOG_PRIOR_ODDS, Candidate, Hypothesis, beside_missed, classes, unit_columns
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace, laplace_under, visible
 from shj_bayes.mismatch.moves import RIVAL, Search
 from shj_bayes.mismatch.regions import aliases_of, regions_of
-from shj_bayes.mismatch.screen import beside_missed
 from shj_bayes.mismatch.search import search
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.options import DiagnoseOptions

@@ -20,12 +20,12 @@ from shj_bayes.mismatch.hypothesis import (
     columns_of,
     formulas,
     same_twice,
+    screen,
     size_weights,
     without,
 )
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace
 from shj_bayes.mismatch.periodic import follows_cycles, is_over_a_clock, waves
-from shj_bayes.mismatch.screen import screen
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
 

@@ -19,11 +19,12 @@ from shj_bayes.mismatch.hypothesis import (
     Candidate,
     Dependence,
     Parametrisation,
+    beside_law,
     candidates,
+    screen,
     size_weights,
 )
 from shj_bayes.mismatch.laplace import Laplace, laplace_under
-from shj_bayes.mismatch.screen import beside_law, screen
 from shj_bayes.model.coordinates import Coordinate, coordinates, coordinates_of
 from shj_bayes.model.curve import PERIODS_PER_UNIT, SIZES, Curve
 from shj_bayes.model.effects.effect import Effect, Values

@@ -16,15 +16,16 @@ from shj_bayes.mismatch.heldout import PARTS, Gain, HeldOut, cycles_of, held_out
 from shj_bayes.mismatch.hypothesis import (
     FORMS,
     PRIOR_INCLUSION,
+    SIZES_OF_STARTS,
     Dependence,
     candidates,
     classes,
     formulas,
+    screen,
     size_weights,
     sized,
 )
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace, laplace_under, visible
-from shj_bayes.mismatch.screen import SIZES_OF_STARTS, screen
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel, force_with_effects, linear_in
 from shj_bayes.model.effects.effect import Base

@@ -244,10 +244,10 @@ def test_a_curve_is_not_taken_apart_into_what_was_dropped(monkeypatch):
     """Or what was found would be weighed for ever: dropped, found in the curve, dropped."""
     curve = SimpleNamespace(variant=SimpleNamespace(curve=SimpleNamespace(sides=True)), of=SimpleNamespace(id="x"))
     h = SimpleNamespace(members=(curve,), key=frozenset({"x"}))
-    out = SimpleNamespace(data=None, fitter=SimpleNamespace(classes={DIRECTION: None}))
+    out = SimpleNamespace(data=None, fitter=SimpleNamespace(classes={DIRECTION: None}, fitted=lambda *_: None))
     tried = []
     monkeypatch.setattr(findings, "tolerance", lambda *_: tried.append("apart") or 0.0)
-    monkeypatch.setattr(findings, "_in_place_of", lambda *_: [])
+    monkeypatch.setattr(findings, "without", lambda *_: ())
     monkeypatch.setattr(findings, "beside_direction", lambda *_: SimpleNamespace(found={}))
     assert findings._split(out, h, [DIRECTION]) is h
     assert tried == []
