@@ -19,26 +19,8 @@ from shj_bayes.mismatch.regions import WORDS, formula_of, run_of
 from shj_bayes.model.effects.effect import Effect, catalogue
 from shj_bayes.model.history import coordinate_of
 from shj_bayes.model.parameters import LAW_PARAMETERS, base_and_run
+from shj_bayes.results import diagnosis as records
 from shj_bayes.results.codec import finite
-from shj_bayes.results.diagnosis import (
-    CandidateRecord,
-    ChannelRecord,
-    CurveRecord,
-    DependenceId,
-    DependenceRecord,
-    DiagnosisVerdict,
-    DrawsInShort,
-    EffectParameter,
-    EffectRecord,
-    EnergyRecord,
-    FitQuality,
-    HeldOutRecord,
-    Member,
-    Period,
-    SetProbability,
-    Shift,
-    Unknown,
-)
 
 Draws = Mapping[str, FloatArray]
 
@@ -50,9 +32,9 @@ def spread(values: FloatArray) -> dict[str, float]:
     return {"mean": mean, "sd": sd, **dict(zip(("q05", "q50", "q95"), quantiles, strict=True))}
 
 
-def effects(out: Search, answer: Answer, draws: Draws) -> tuple[EffectRecord, ...]:
+def effects(out: Search, answer: Answer, draws: Draws) -> tuple[records.EffectRecord, ...]:
     """Mechanisms that were found; under the verdict ``unknown`` they are a part of what was left out."""
-    found, partial = [], answer.verdict is DiagnosisVerdict.UNKNOWN
+    found, partial = [], answer.verdict is records.DiagnosisVerdict.UNKNOWN
     for finding in answer.findings:
         effect, curve = finding.member.variant.effect, finding.member.variant.curve
         if not finding.named:
@@ -68,7 +50,7 @@ def effects(out: Search, answer: Answer, draws: Draws) -> tuple[EffectRecord, ..
         # A mean lies beyond what fits where a size is hardly known.
         middle = {key: float(np.median(values)) for key, values in own.items()}
         found.append(
-            EffectRecord(
+            records.EffectRecord(
                 id=effect.mechanism,
                 form=effect.form,
                 family=effect.family,
@@ -81,13 +63,15 @@ def effects(out: Search, answer: Answer, draws: Draws) -> tuple[EffectRecord, ..
                 probability=finding.probability * finding.names[0][1],
                 rivals=tuple(name for name in _rivals(out, answer, finding) if name != effect.mechanism),
                 size_kN=finding.size * out.data.scale_kN,
-                parameters={name: EffectParameter(**spread(own[name]), unit=units.get(name, "1")) for name in own},
+                parameters={
+                    name: records.EffectParameter(**spread(own[name]), unit=units.get(name, "1")) for name in own
+                },
             )
         )
     if chatter := out.chatter:
         effect = _chattering()
         found.append(
-            EffectRecord(
+            records.EffectRecord(
                 id=effect.id,
                 form="chatter",
                 family=effect.family,
@@ -99,7 +83,7 @@ def effects(out: Search, answer: Answer, draws: Draws) -> tuple[EffectRecord, ..
                 partial=partial,
                 probability=SURE,
                 size_kN=chatter.size * out.data.scale_kN,
-                parameters={"size": EffectParameter(**spread(chatter.of_strokes), unit="1")},
+                parameters={"size": records.EffectParameter(**spread(chatter.of_strokes), unit="1")},
             )
         )
     return tuple(found)
@@ -146,9 +130,9 @@ def mechanisms(out: Search, answer: Answer, name: str) -> list[str]:
     return [e.id for e in known if e.id not in out.fitter.hidden]
 
 
-def family(out: Search, answer: Answer) -> tuple[Member, ...]:
+def family(out: Search, answer: Answer) -> tuple[records.Member, ...]:
     """Mechanisms that the recording cannot tell apart, most probable first."""
-    if answer.verdict is not DiagnosisVerdict.FAMILY:
+    if answer.verdict is not records.DiagnosisVerdict.FAMILY:
         return ()
     listed: dict[str, float] = {}
     sure = frozenset.intersection(*(key for key, _ in rivals_of(answer)))
@@ -159,19 +143,19 @@ def family(out: Search, answer: Answer) -> tuple[Member, ...]:
     for finding in answer.findings:
         if finding.member.of.id in sure and len(finding.names) > 1:
             listed |= {name: finding.probability * p for name, p in finding.names}
-    return tuple(Member(id=k, probability=v) for k, v in sorted(listed.items(), key=lambda item: -item[1]))
+    return tuple(records.Member(id=k, probability=v) for k, v in sorted(listed.items(), key=lambda item: -item[1]))
 
 
-def coordinates(out: Search, answer: Answer) -> tuple[DependenceRecord, ...]:
+def coordinates(out: Search, answer: Answer) -> tuple[records.DependenceRecord, ...]:
     """List what the force depends on beyond the base law, most probable first; push and pull may have a row each."""
     found = {finding.member.of.id: finding for finding in answer.findings}
-    rows: list[DependenceRecord] = []
+    rows: list[records.DependenceRecord] = []
     for name, probability in sorted(answer.inclusion.items(), key=lambda item: -item[1]):
         finding = found.get(name)
         if finding is None and probability < 0.01:
             continue
         of = out.fitter.classes[name]
-        row = DependenceRecord(
+        row = records.DependenceRecord(
             coordinate=of.coordinate,
             unit=of.unit,
             action=of.action,
@@ -187,7 +171,9 @@ def coordinates(out: Search, answer: Answer) -> tuple[DependenceRecord, ...]:
                 direction=direction,
                 range_percent=float(np.ptp(band["mean"])),
                 period=finding.curve.period if finding and finding.curve else None,
-                curve=CurveRecord(**{key: tuple(values.tolist()) for key, values in band.items()}, unit="% of Fy"),
+                curve=records.CurveRecord(
+                    **{key: tuple(values.tolist()) for key, values in band.items()}, unit="% of Fy"
+                ),
             )
             for direction, band in bands.items()
             if band is not None
@@ -196,7 +182,7 @@ def coordinates(out: Search, answer: Answer) -> tuple[DependenceRecord, ...]:
     if answer.reason is Reason.FLUCTUATES or out.chatter:  # of the motion: surfaces stick, load up and jump
         rows.insert(
             0,
-            DependenceRecord(
+            records.DependenceRecord(
                 coordinate=TEETH.coordinate,
                 unit="1",
                 action=TEETH.action,
@@ -208,14 +194,14 @@ def coordinates(out: Search, answer: Answer) -> tuple[DependenceRecord, ...]:
     return tuple(rows)
 
 
-def further(runs: Sequence[Run]) -> tuple[ChannelRecord, ...]:
+def further(runs: Sequence[Run]) -> tuple[records.ChannelRecord, ...]:
     """List the further channels: the range of those that the force was held against, why the others were not."""
     measured = measured_of(runs)[0]
     rows = []
     for channel in further_of(runs):
         own = measured.get(coordinate_of(channel.name)) if channel.refused is None else None
         rows.append(
-            ChannelRecord(
+            records.ChannelRecord(
                 name=channel.name,
                 coordinate=coordinate_of(channel.name),
                 unit=channel.unit,
@@ -228,27 +214,27 @@ def further(runs: Sequence[Run]) -> tuple[ChannelRecord, ...]:
     return tuple(rows)
 
 
-def unknown(out: Search, answer: Answer) -> Unknown | None:
+def unknown(out: Search, answer: Answer) -> records.Unknown | None:
     """Describe what no mechanism explains: the curve, or where the rest is largest."""
-    if answer.verdict is not DiagnosisVerdict.UNKNOWN:
+    if answer.verdict is not records.DiagnosisVerdict.UNKNOWN:
         return None
     fy, strange = out.data.scale_kN, [f for f in answer.findings if not f.named]
     if answer.reason is not Reason.NO_FORM or not strange:
         residual = answer.shown.state.residual
         rows, coordinate = _profile(out.data, residual)
         size = max(answer.left_over * fy, float(np.sqrt(np.mean(residual[out.data.blocks.used > 0] ** 2))))
-        return Unknown(coordinate=coordinate, shape=rows, size_kN=size)
+        return records.Unknown(coordinate=coordinate, shape=rows, size_kN=size)
     finding = strange[0]
     band, curve, of = curve_band(out, finding), finding.curve, finding.member.of
     assert band is not None
     assert curve is not None
     formula = formula_of(band["at"], band["mean"], band["q05"], band["q95"], curve.over.symbol, of.unit)
     push_kN = band["mean"] * fy / 100
-    return Unknown(
+    return records.Unknown(
         coordinate=WORDS.get(of.coordinate, of.coordinate),
         shape=_shape(band["at"], push_kN, -push_kN if of.action == "capacity" else push_kN),  # of friction it turns
         formula=f"{TERM[of.action]} = {formula}" if formula else None,
-        period=Period(length=curve.period, unit=of.unit, coordinate=of.coordinate) if curve.period else None,
+        period=records.Period(length=curve.period, unit=of.unit, coordinate=of.coordinate) if curve.period else None,
         size_kN=finding.size * fy,
     )
 
@@ -281,13 +267,13 @@ def _profile(data: BinnedData, residual: FloatArray, n: int = 24) -> tuple[Shape
     return best[1], best[2]
 
 
-def quality(data: BinnedData, state: Laplace, noise_kN: float, held: HeldOut) -> FitQuality:
+def quality(data: BinnedData, state: Laplace, noise_kN: float, held: HeldOut) -> records.FitQuality:
     """Say how well a model fits: residual, noise, held-out residual (kN), energy per cycle (per cent)."""
     used = data.blocks.used > 0
     measured = energy_of(data, data.blocks.force_kN)
     modelled = energy_of(data, data.blocks.force_kN - state.residual)
     wrong = np.abs(modelled - measured) / np.maximum(np.abs(measured), 1e-300)
-    return FitQuality(
+    return records.FitQuality(
         rmse_kN=float(np.sqrt(np.mean(state.residual[used] ** 2))),
         noise_kN=noise_kN,
         heldout_rmse_kN=held.rmse_kN,
@@ -303,18 +289,18 @@ def energy_of(data: BinnedData, force_kN: FloatArray) -> FloatArray:
     return np.asarray(np.bincount(cycle, weights=work), dtype=np.float64)
 
 
-def energy(data: BinnedData, base: Laplace, shown: Laplace) -> EnergyRecord:
+def energy(data: BinnedData, base: Laplace, shown: Laplace) -> records.EnergyRecord:
     """Energy of each cycle, measured and modelled before and after, J."""
     forces = data.blocks.force_kN, data.blocks.force_kN - base.residual, data.blocks.force_kN - shown.residual
     measured, before, after = (tuple(energy_of(data, force).tolist()) for force in forces)
     cycle = tuple(float(i) for i in range(1, len(measured) + 1))
-    return EnergyRecord(cycle=cycle, measured_J=measured, before_J=before, after_J=after)
+    return records.EnergyRecord(cycle=cycle, measured_J=measured, before_J=before, after_J=after)
 
 
-def heldout(shown: Proven) -> HeldOutRecord:
+def heldout(shown: Proven) -> records.HeldOutRecord:
     """Gain of the shown model over the base law on cycles that were left out, and what was dropped for want of one."""
     gain, n = shown.gain, shown.held[0].count.size
-    return HeldOutRecord(
+    return records.HeldOutRecord(
         scheme=f"every {min(PARTS, n)}th cycle left out, {min(PARTS, n)} fits",
         elpd_gain=gain.elpd,
         se=gain.elpd_se,
@@ -324,11 +310,16 @@ def heldout(shown: Proven) -> HeldOutRecord:
     )
 
 
-def shift(before: Draws, after: Draws) -> dict[str, Shift]:
+def shift(before: Draws, after: Draws) -> dict[str, records.Shift]:
     """Say what the omission did to the parameters of the base law, from draws without and with the effects found."""
     base = [name for name in before if "." not in name]  # not of effects that were given
     shared = [name for name in base if name in after and base_and_run(name)[0] in LAW_PARAMETERS]
-    return {n: Shift(before=DrawsInShort(**spread(before[n])), after=DrawsInShort(**spread(after[n]))) for n in shared}
+    return {
+        n: records.Shift(
+            before=records.DrawsInShort(**spread(before[n])), after=records.DrawsInShort(**spread(after[n]))
+        )
+        for n in shared
+    }
 
 
 def next_test(shown: Proven, *, quick: bool) -> str | None:
@@ -341,7 +332,7 @@ def next_test(shown: Proven, *, quick: bool) -> str | None:
     if answer.reason is Reason.NOT_BORNE_OUT:
         names = mechanisms(out, answer, shown.dropped[-1].class_)
         return known[names[0]].next_test if names and names[0] in known else None
-    if answer.verdict is not DiagnosisVerdict.FAMILY:
+    if answer.verdict is not records.DiagnosisVerdict.FAMILY:
         return None
     members = [member.id for member in family(out, answer)]
     said = list(dict.fromkeys(known[name].next_test for name in members[:2]))
@@ -351,7 +342,7 @@ def next_test(shown: Proven, *, quick: bool) -> str | None:
     return " ".join(said)
 
 
-def candidates(shown: Proven) -> tuple[CandidateRecord, ...]:
+def candidates(shown: Proven) -> tuple[records.CandidateRecord, ...]:
     """Every effect of the catalogue, with what its class gains on the base law alone and in the answer."""
     out, answer, dropped = shown.out, shown.answer, {one.class_ for one in shown.dropped}
     base = out.found[frozenset()]
@@ -369,7 +360,9 @@ def candidates(shown: Proven) -> tuple[CandidateRecord, ...]:
         kept[_chattering().id] = out.chatter.size
     rows = []
     for effect in catalogue().values():
-        name = next((name for name in (str(DependenceId(*acts)) for acts in effect.acts) if name in gains), None)
+        name = next(
+            (name for name in (str(records.DependenceId(*acts)) for acts in effect.acts) if name in gains), None
+        )
         if effect.form or effect.id in out.fitter.hidden or name is None:
             continue
         reasons = {
@@ -382,7 +375,7 @@ def candidates(shown: Proven) -> tuple[CandidateRecord, ...]:
             "too small, or too improbable, to matter": True,
         }
         rows.append(
-            CandidateRecord(
+            records.CandidateRecord(
                 id=effect.id,
                 title=effect.title,
                 family=effect.family,
@@ -417,6 +410,6 @@ def draws_of(state: Laplace, seed: int) -> dict[str, FloatArray]:
     return dict(zip(state.model.law_names, theta.T[: state.z.size], strict=True))
 
 
-def hypotheses(answer: Answer) -> tuple[SetProbability, ...]:
+def hypotheses(answer: Answer) -> tuple[records.SetProbability, ...]:
     """List the sets of classes that hold all but 5 % of the probability."""
-    return tuple(SetProbability(classes=tuple(sorted(key)), probability=p) for key, p in rivals_of(answer))
+    return tuple(records.SetProbability(classes=tuple(sorted(key)), probability=p) for key, p in rivals_of(answer))

@@ -242,23 +242,9 @@ class ErrorParameters:
 class ErrorModel:
     """Scalar product in which noise and discrepancy count as they should; see the module.
 
-    Parameters
-    ----------
-    data : BinnedData
-        The recordings.
-    setting : ErrorParameters
-        Noise and discrepancy.
-    slope : array, shape (n,)
-        Slope of the modelled force in each block, through which the error of the displacement acts, kN/mm.
-    counts : array, shape (n_evidence,), optional
-        Which of the evidence a fit sees; all by default.
-
-    Attributes
-    ----------
-    missed : array, shape (n, p + 1 + 2 n_runs)
-        What any model may miss, each at its size before the test; columns as of `BinnedData.missed`.
-    other : array, shape (n_evidence, p + 1 + 2 n_runs)
-        The same whitened.
+    `slope`, shape (n,), is that of the modelled force in each block, kN/mm; `counts`, shape (n_evidence,), says which
+    of the evidence a fit sees. `missed` holds the columns of `BinnedData.missed`, each at its size before the test, and
+    `other`, of shape (n_evidence, p + 1 + 2 n_runs), the same whitened.
     """
 
     def __init__(

@@ -36,25 +36,14 @@ FLAT = 1e3  # of Fy: a constant force as large as any
 
 @dataclass(frozen=True, eq=False)
 class Fitter:
-    """Fits hypotheses to the recordings of a device under one noise.
+    """Fits hypotheses to the recordings of a device under one noise."""
 
-    Attributes
-    ----------
-    looked : sequence of Candidate
-        What is looked for, with columns at the base law: they change little from model to model, and only choose what
-        is fitted.
-    metric : ErrorModel
-        Noise and discrepancy in the recordings, found beside everything that is looked for.
-    hidden : frozenset of str
-        Mechanisms whose formulas are not tried.
-    floor : float
-        Log weight, nats, below which a fit is given up on its way.
-    """
-
+    # what is looked for, with columns at the base law: they change little from model to model, and only choose what is
+    # fitted
     looked: Sequence[Candidate]
-    metric: ErrorModel
-    hidden: frozenset[str] = frozenset()
-    floor: float = -math.inf
+    metric: ErrorModel  # noise and discrepancy in the recordings, found beside everything that is looked for
+    hidden: frozenset[str] = frozenset()  # mechanisms whose formulas are not tried
+    floor: float = -math.inf  # log weight, nats, below which a fit is given up on its way
     _screened: dict[Hypothesis, list[Candidate]] = field(init=False, default_factory=dict)
 
     @cached_property
@@ -73,10 +62,8 @@ class Fitter:
         return device.with_effects((*device.effects, *added))
 
     def fitted(self, members: tuple[Candidate, ...], start: FloatArray, floor: float = -math.inf) -> Hypothesis | None:
-        """Fit a hypothesis from a start; None where there is no fit.
-
-        The fit is given up on its way where the log weight will not reach `floor`.
-        """
+        """Fit a hypothesis from a start; None where there is no fit, or one whose log weight will not reach `floor`."""
+        data = self.metric.data
         try:
             state = laplace(self.metric, self.model_of(members), start, max(self.floor, floor))
             # Or nothing can be weighed beside it. By half of the prior, as rounding differs when it is worked out anew.
@@ -85,33 +72,26 @@ class Fitter:
             weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
         except np.linalg.LinAlgError:
             return None
-        if cancel(state, members) or any(self._follows_cycles(state, member) for member in members):
-            return None
-        return Hypothesis(members, state, weight) if math.isfinite(weight) else None
-
-    def _follows_cycles(self, state: Laplace, member: Candidate) -> bool:
-        """Whether a formula or a wave over a clock does the same in each cycle."""
-        curve, effect = member.variant.curve, member.variant.effect
-        if not is_over_a_clock(member.of) or (curve is not None and curve.period is None):
-            return False
-        return follows_cycles(self.metric.data, effect, state.values_of(effect))
+        for variant in (m.variant for m in members if is_over_a_clock(m.of)):
+            values = state.values_of(variant.effect)  # of a formula or a wave over a clock: not what the cycles do
+            if (variant.curve is None or variant.curve.period) and follows_cycles(data, variant.effect, values):
+                return None
+        return Hypothesis(members, state, weight) if math.isfinite(weight) and not cancel(state, members) else None
 
     def _about_size(self, state: Laplace, place: int, member: Candidate) -> float:
-        """Log evidence that a class gains when its size and its smoothness are averaged over."""
-        extra = math.log(member.variant.weight)
-        curve = member.variant.curve
+        """Log weight of a parametrisation, of a curve with its size averaged over."""
+        extra, curve = math.log(member.variant.weight), member.variant.curve
         if curve is None:
             return extra
-        own = columns_of(self.metric.data, state, place)
-        given = state.gaussian
+        given, own = state.gaussian, columns_of(self.metric.data, state, place)
         its_own = np.isin(np.arange(state.z.size), own)
         gains = [given.sized(np.where(its_own, size / curve.size, 1.0)).gain for size in SIZES]
         return extra + float(np.logaddexp.reduce(np.array(gains) - given.gain + np.log(size_weights())))
 
     def all_fitted(self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]]) -> list[Hypothesis]:
         """Fit hypotheses, each from the start of a form; those with a fit, most probable first."""
-        ones = [self.fitted(members, form.start) for members, form in tried]
-        return sorted((one for one in ones if one is not None), key=lambda one: -one.log_weight)
+        ones = [one for members, form in tried if (one := self.fitted(members, form.start)) is not None]
+        return sorted(ones, key=lambda one: -one.log_weight)
 
     def best_fitted(
         self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]], floor: float = -math.inf

@@ -25,11 +25,10 @@ CLOSE = 1e-2  # square of the last step, in posterior standard deviations
 class Laplace:
     """A model at its most probable parameters under a metric."""
 
-    model: DeviceModel  # the model
+    model: DeviceModel
     z: FloatArray  # shape (n_law,): parameters of its law in the unbounded space
-    # residual, slope: shape (n,): measured less modelled force (kN) of each block; slope of the latter (kN/mm)
-    residual: FloatArray
-    slope: FloatArray
+    residual: FloatArray  # shape (n,): measured less modelled force of each block, kN
+    slope: FloatArray  # shape (n,): of the latter, kN/mm
     jacobian: FloatArray  # shape (n, n_law): derivatives of the force
     gaussian: Gaussian  # the linearised data and the derivatives
     covariance: FloatArray  # shape (n_law, n_law): of the parameters
@@ -59,9 +58,8 @@ def drawn_from(state: Laplace, n: int, seed: int = 1) -> FloatArray:
 def laplace(metric: ErrorModel, model: DeviceModel, z: FloatArray, floor: float = -math.inf) -> Laplace:
     """Go to the most probable parameters by steps of Gauss-Newton from `z`, shape (n_law,), and linearise there.
 
-    Steps are kept as short as the derivatives have foretold them well: from far away a formula is no straight line.
-
-    Stops on the way where steps like the last one would not reach a log density of `floor`.
+    Steps are kept as short as the derivatives have foretold them well: from far away a formula is no straight line. It
+    ends on the way where steps like the last one would not reach a log density of `floor`.
     """
 
     def height(residual: FloatArray, at: FloatArray) -> float:

@@ -83,24 +83,23 @@ def regions_of(metric: ErrorModel, base: Laplace) -> list[Location]:
     table = np.stack(columns, axis=1)
     large = np.count_nonzero(table, axis=0) >= MIN_SHARE * data.blocks.used.sum()
     table, cuts = table[:, large], [cut for cut, ok in zip(cuts, large, strict=True) if ok]
-    p_values = _p_values(metric, base, table)
+    # Two-sided chance of each column's product with the residual, beside the parameters of the law.
+    rest = metric.gaussian(base.beside(table)).given(base.z.size)
+    p_values = 2.0 * ndtr(-np.abs(rest.along) / np.sqrt(np.maximum(np.diag(rest.inner), 1e-300)))
     whole = float(base.residual @ base.residual)
     found = []
     for (coordinate, unit, interval, side), column, p in zip(cuts, table.T, p_values, strict=True):
         own = np.flatnonzero(column)
         squares = np.bincount(run[own], weights=base.residual[own] ** 2)
-        runs = tuple(int(i) for i in np.flatnonzero(squares >= 0.1 * squares.sum()) if i > 0)
-        mean = float(column[own] @ base.residual[own]) / own.size
-        share = float(squares.sum()) / max(whole, 1e-300)
         found.append(
             Location(
                 coordinate=coordinate,
                 unit=unit,
                 interval=interval,
                 direction=side,
-                runs=runs,
-                size_kN=mean,
-                share=share,
+                runs=tuple(int(i) for i in np.flatnonzero(squares >= 0.1 * squares.sum()) if i > 0),
+                size_kN=float(column[own] @ base.residual[own]) / own.size,
+                share=float(squares.sum()) / max(whole, 1e-300),
                 p_value=min(1.0, float(p) * len(cuts)),
             )
         )
@@ -122,12 +121,6 @@ def _side(word: str, inside: BoolArray, sense: FloatArray) -> FloatArray:
     if word == "both":
         return np.asarray(inside * np.sign(sense))
     return np.asarray(inside & (sense > 0 if word == "push" else sense < 0), dtype=np.float64)
-
-
-def _p_values(metric: ErrorModel, base: Laplace, table: FloatArray) -> FloatArray:
-    """Two-sided chance of each column's product with the residual, beside the parameters of the law."""
-    rest = metric.gaussian(base.beside(table)).given(base.z.size)
-    return np.asarray(2.0 * ndtr(-np.abs(rest.along) / np.sqrt(np.maximum(np.diag(rest.inner), 1e-300))))
 
 
 @dataclass(frozen=True)
