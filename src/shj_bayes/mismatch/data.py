@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -45,6 +45,8 @@ class BinnedData:
     z: FloatArray  # shape (n_law,): least squares of the base model, where the search begins
     peak_mm_s: float | None = None  # peak speed that low speeds are a share of; that of the first run unless given
     longest_s: float | None = None  # longest block, s, where something comes again soon; as in a fit unless given
+    # columns of `periodic.waves` by action and coordinate: they are looked at beside many models
+    waves: dict[tuple[str, str], FloatArray] = field(init=False, default_factory=dict)
 
     @property
     def device(self) -> DeviceModel:
@@ -79,11 +81,6 @@ class BinnedData:
         """
         longest_s = self.longest_s if longest_s is None else longest_s
         return replace(self, likelihood=self.likelihood.at(model).refined(z, longest_s=longest_s).at(self.device))
-
-    @cached_property
-    def waves(self) -> dict[tuple[str, str], FloatArray]:
-        """Columns of `periodic.waves` by action and coordinate: they are looked at beside many models."""
-        return {}
 
     @cached_property
     def slow(self) -> FloatArray:

@@ -115,7 +115,7 @@ def test_a_load_cell_that_is_off_by_more_than_matters_is_a_constant_force(trials
     record = look(recordings).content
     assert record["coordinates"][0]["coordinate"] == "constant"
     assert record["coordinates"][0]["probability"] > 0.9
-    assert names(record) == {"load_offset"}
+    assert [effect["id"] for effect in record["effects"]] == ["load_offset"]
 
 
 def test_a_constant_of_many_times_the_friction_is_as_large_as_it_is(trials):
