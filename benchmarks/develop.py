@@ -46,7 +46,7 @@ from shj_validation.proof.truth import truth_of
 BUILD = Path(__file__).resolve().parents[1] / "build" / "develop"
 LAST = {move.__name__: move for move in LAST_MOVES}
 MOVES = ("try_constant", "replace_by_formula", "drop_one", "follow_bends", "refit_noise", *LAST)
-KEPT = ("verdict", "reason", "coordinates", "effects", "family", "before", "after")
+KEPT = ("verdict", "reason", "p_value", "coordinates", "effects", "family", "before", "after")
 
 
 def main() -> None:

@@ -151,7 +151,7 @@ def main() -> int:
     parser.add_argument("--chains", type=int, default=4, help="NUTS chains (4)")
     asked = parser.parse_args()
     ours = fit(make_runs(asked.seed), DeviceModel(2, read_priors("afc")), plan=SamplingPlan(seed=asked.seed))
-    posterior = ours.posterior
+    posterior = ours.likelihood
     draws = np.stack([ours.data["posterior"][name].to_numpy().ravel() for name in posterior.model.names], axis=1)
     middle = posterior.model.laws.unbounded(draws.mean(axis=0)[None])[0]
     whole = posterior.refined(middle, longest_s=0.0).with_noise_at_rest(0.0)

@@ -34,7 +34,15 @@ from shj_bayes.population.hierarchy import (
     fit_quantity,
 )
 from shj_bayes.population.predict import new_device
-from shj_bayes.population.quantities import QuantityLikelihood, Rounded, of_draws, population_prior, quantity, weighted
+from shj_bayes.population.quantities import (
+    QuantityLikelihood,
+    of_draws,
+    population_prior,
+    quantity,
+    rounded,
+    to_step,
+    weighted,
+)
 
 FY = quantity("Fy")
 
@@ -210,7 +218,7 @@ def coverage(
         mu = rng.normal(np.log(80.0), 0.3, n_sets)
         tau = spread * np.exp(unequal * rng.standard_normal(n_sets))
         printed = 5.0 * np.maximum(np.round(np.exp(rng.normal(mu, tau, (n_devices, n_sets))) / 5.0), 1.0)
-        sets = [[Rounded.to_step(v, 5.0).of("Fy") for v in printed[:, s]] for s in range(n_sets)]
+        sets = [[rounded("Fy", to_step(v, 5.0)) for v in printed[:, s]] for s in range(n_sets)]
         stream = np.random.SeedSequence([seed, n_devices, c])
         fit = fit_quantity("Fy", sets, population_prior("Fy"), stream)
         for s in range(n_sets):

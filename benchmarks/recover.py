@@ -63,7 +63,7 @@ def recover(row: tuple[str, Truth], seed: int, rate: float) -> dict[str, Any]:
     runs = runs_of(simulate_device(truth, seed=seed, rate_Hz=rate))
     result = fit(runs, DeviceModel(len(runs), read_priors("afc")), name=name, plan=SamplingPlan(seed=seed))
     inside, cells = {}, []
-    for parameter in result.posterior.model.names:
+    for parameter in result.likelihood.model.names:
         draws = result.data["posterior"][parameter].to_numpy().ravel()
         low, high = np.quantile(draws, [0.025, 0.975])
         true = getattr(truth, NOISE.get(parameter, parameter))

@@ -1,9 +1,10 @@
 """A campaign of a thousand simulated devices, one in twenty broken, with a worker killed midway.
 
 ``python benchmarks/thousand.py [-n 1000] [--workers 2] [-o DIR]`` makes short recordings, breaks 5 % of them in eight
-ways, runs ``shj-bayes campaign``, kills one of its workers with SIGKILL when a third is done, and prints what became of
-the devices, the time, and the peak memory of the parent and of the largest worker. Then the same command again: it must
-fit nothing. Exit status 1 if a good device is missing, a bad one is not named, or the second call does something.
+ways, runs ``shj-bayes campaign`` with a first look at each device, kills one of its workers with SIGKILL when a third
+is done, and prints what became of the devices, the time, and the peak memory of the parent and of the largest worker.
+Then the same command again: it must fit nothing. Exit status 1 if a good device is missing, a bad one is not named, or
+the second call does something.
 
 ``python benchmarks/thousand.py --margins`` takes as many devices, in twenty sets, after their virtual test and prints
 the processor time of pooling them, of the margins, of their files and of the sheet.
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -95,7 +97,9 @@ def _peak_mb(pid: int) -> float:
         return 0.0
 
 
-def make(folder: Path, n: int, seed: int, max_steps: int, *, whole: bool = False) -> dict[str, str]:
+def make(
+    folder: Path, n: int, seed: int, max_steps: int, *, whole: bool = False, look: str = "quick"
+) -> dict[str, str]:
     """Write recordings and manifest; device name to the way in which it is broken, or ""."""
     rng = np.random.default_rng(seed)
     bad = set(rng.choice(n, size=max(1, n // 20), replace=False).tolist())
@@ -120,8 +124,8 @@ def make(folder: Path, n: int, seed: int, max_steps: int, *, whole: bool = False
         if number % 250 == 0:
             text += f'[[set]]\nname = "set {number // 250 + 1}"\n'
         text += f'[[set.device]]\nname = "{name}"\nrecordings = {json.dumps(names)}\n'
-    head = 'schema = "shj-bayes/campaign/1"\nname = "thousand"\nsimulated = true\ndiagnose = "off"\n'
-    head += f"[defaults]\nmax_steps = {max_steps}\n"
+    head = 'schema = "shj-bayes/campaign/1"\nname = "thousand"\nsimulated = true\n'
+    head += f'diagnose = "{look}"\n[defaults]\nmax_steps = {max_steps}\n'
     (folder / "campaign.toml").write_text(head + text, encoding="utf-8")
     return ways
 
@@ -172,16 +176,20 @@ def fit_all(manifest: str, out: str, workers: str) -> None:
     run_campaign(read_manifest(Path(manifest)), Path(out), workers=int(workers), progress=True)
 
 
-def run(folder: Path, n: int, *, workers: int, seed: int = 1, max_steps: int = 200, whole: bool = False) -> bool:
+def run(folder: Path, n: int, *, workers: int, max_steps: int, whole: bool, look: str) -> bool:
     """Make, run, kill, run again, print; whether all is as it should be."""
-    ways = make(folder, n, seed, max_steps, whole=whole)
+    ways = make(folder, n, 1, max_steps, whole=whole, look=look)
     out = folder / "out"
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     seconds, watch, devices = campaign(folder, out, workers, max(1, n // 3))
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     status = Counter(device["status"] for device in devices.values())
     wrong = [name for name, way in ways.items() if (devices[name]["status"] == "failed") != bool(way)]
     silent = [name for name, way in ways.items() if way and not devices[name]["reason"]]
     print(f"{n} devices, {sum(map(bool, ways.values()))} of them broken, {workers} workers: {dict(status)}")
-    print(f"  {seconds:.0f} s, {seconds / n:.2f} s a device; worker {watch.killed or 'none'} killed midway")
+    print(f"  {seconds:.0f} s, {seconds / n:.2f} s a device, {processor / n:.2f} of processor")
+    print(f"  worker {watch.killed or 'none'} killed midway")
     print(f"  peak memory: {watch.worker_mb:.0f} MB for the largest worker, {watch.parent_mb:.0f} MB for the parent")
     for way in WAYS:
         example = next((name for name, w in ways.items() if w == way), None)
@@ -241,6 +249,7 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--whole", action="store_true", help="two runs of Table 1 at 20 Hz, 24 000 samples, each")
     parser.add_argument("--max-steps", type=int, default=200, help="steps of each fit (200)")
+    parser.add_argument("--diagnose", choices=("quick", "full", "off"), default="quick", help="quick by default")
     parser.add_argument("--margins", action="store_true", help="time population and margins instead")
     parser.add_argument("-o", "--out", type=Path, help="folder that is kept; a temporary one by default")
     asked = parser.parse_args()
@@ -250,7 +259,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = asked.out or Path(name)
         folder.mkdir(parents=True, exist_ok=True)
-        return int(not run(folder, asked.n, workers=asked.workers, max_steps=asked.max_steps, whole=asked.whole))
+        kind = {"max_steps": asked.max_steps, "whole": asked.whole, "look": asked.diagnose}
+        return int(not run(folder, asked.n, workers=asked.workers, **kind))
 
 
 if __name__ == "__main__":

@@ -125,7 +125,7 @@ def as_vector() -> Callable[..., np.ndarray]:
 def no_workers() -> Iterator[None]:
     """Fit the devices of campaigns in this process, where pictures can be left empty."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign, "results_here", lambda _, fit_one, devices: ((d, fit_one(d), "") for d in devices))
+        patch.setattr(campaign, "results", lambda _, do, devices, **_how: ((d, do(d), "") for d in devices))
         yield
 
 

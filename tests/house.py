@@ -18,9 +18,9 @@ SRC = ROOT / "src" / "shj_bayes"
 RESULTS = re.compile(r"\b(fit|diagnosis|campaign|population|summary|residual)\.json\b|\b(posterior|diagnosis)\.nc\b")
 READS = re.compile(r"\b(read_json|open_dataset|open_group|InferenceData|from_netcdf|json\.loads?)\(")
 LIMITS = {
-    "lines": 38_742,
-    "files": 143,
-    "dataclasses": 184,
+    "lines": 36_518,
+    "files": 142,
+    "dataclasses": 165,
     "class names that exist twice": 0,
     "methods of the largest class": 12,
     "modules that open a result file": 1,

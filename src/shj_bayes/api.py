@@ -8,7 +8,7 @@ import shutil
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, partial
+from functools import cached_property
 from html import escape
 from pathlib import Path
 from tempfile import mkdtemp
@@ -118,13 +118,7 @@ class Diagnosis(_Result):
 
     @property
     def fit(self) -> FitResult:
-        """Posterior of the device as it was found to be; there is none after a first look.
-
-        Raises
-        ------
-        InferenceError
-            If the diagnosis was a first look.
-        """
+        """Posterior of the device as it was found to be; `InferenceError` after a first look, which has none."""
         return FitResult(self.folder, to_json(read(FitRecord, self.folder)), self._held)
 
     @property
@@ -190,13 +184,7 @@ class CampaignResult(_Result):
         return found
 
     def compare(self, set_a: str, set_b: str) -> pd.DataFrame:
-        """Compare two sets: one row for each quantity, with a sentence.
-
-        Raises
-        ------
-        PopulationError
-            If there is no such set; the message names the nearest.
-        """
+        """Compare two sets: a row for each quantity, with a sentence; `PopulationError` where there is no such set."""
         return pd.DataFrame(compare_sets(self.folder, set_a, set_b)[0]["contrasts"])
 
     def _repr_html_(self) -> str:
@@ -205,28 +193,13 @@ class CampaignResult(_Result):
         return f"<p><b>A new device of each set</b>: 5, 50 and 95 %</p>{table}"
 
 
-@dataclass(frozen=True, eq=False)
-class Campaign:
-    """A campaign as its manifest describes it.
-
-    Parameters
-    ----------
-    manifest : Manifest
-        Sets, devices and recordings.
-    """
-
-    manifest: Manifest
+class Campaign(Manifest):
+    """A campaign as its manifest describes it: its name, its devices, and whether they are simulated."""
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
-        """Read a manifest.
-
-        Raises
-        ------
-        CampaignError
-            With the table and the value at fault.
-        """
-        return cls(read_manifest(Path(path)))
+        """Read a manifest; `CampaignError` with the table and the value at fault."""
+        return cls(*read_manifest(Path(path)))
 
     def run(
         self,
@@ -252,25 +225,15 @@ class Campaign:
             How to look for what the law leaves out, in place of what the manifest says.
         progress : bool
             Show a progress bar.
-
-        Returns
-        -------
-        CampaignResult
         """
         folder, held = _place(out)
-        outcomes = run_campaign(self.manifest, folder, workers=workers, diagnose=diagnose, progress=progress)
+        outcomes = run_campaign(self, folder, workers=workers, diagnose=diagnose, progress=progress)
         result = summarise_campaign(outcomes, folder, seed=seed, progress=progress)
         return CampaignResult(folder, result.record, held)
 
 
-def fit(
-    recordings: Recordings,
-    out: str | Path | None = None,
-    *,
-    name: str | None = None,
-    **options: Any,
-) -> FitResult:
-    """Sample the posterior of one device.
+def fit(recordings: Recordings, out: str | Path | None = None, *, name: str | None = None, **options: Any) -> FitResult:
+    """Sample the posterior of one device; `ShjError` if a recording cannot be used or an option is not known.
 
     Parameters
     ----------
@@ -282,15 +245,6 @@ def fit(
         Name of the device; that of the first file by default.
     **options
         Fields of `shj_bayes.options.FitOptions`, and of `shj_bayes.app.device.Work` (progress, threads, force).
-
-    Returns
-    -------
-    FitResult
-
-    Raises
-    ------
-    ShjError
-        If a recording cannot be used or an option is not known.
     """
     folder, held = _place(out)
     shared, work = _sorted(options, FitOptions, Work)
@@ -301,27 +255,12 @@ def fit(
 
 
 def diagnose(
-    recordings: Recordings,
-    out: str | Path | None = None,
-    *,
-    name: str | None = None,
-    **options: Any,
+    recordings: Recordings, out: str | Path | None = None, *, name: str | None = None, **options: Any
 ) -> Diagnosis:
     """Find what the law leaves out of one device.
 
-    Parameters
-    ----------
-    recordings, out, name, **options
-        As for `fit`; further options are the fields of `shj_bayes.options.DiagnoseOptions` (without, quick).
-
-    Returns
-    -------
-    Diagnosis
-
-    Raises
-    ------
-    ShjError
-        If a recording cannot be used or an effect is not known.
+    Arguments and errors are those of `fit`; further options are the fields of `shj_bayes.options.DiagnoseOptions`
+    (without, quick).
     """
     folder, held = _place(out)
     shared, work, look = _sorted(options, FitOptions, Work, DiagnoseOptions)
@@ -336,7 +275,7 @@ def plan(
     rig: str | Path | None = None,
     **options: Any,
 ) -> NextTest:
-    """Plan the next test.
+    """Plan the next test; `ShjError` if a folder, a limit or a question cannot be used.
 
     Parameters
     ----------
@@ -348,15 +287,6 @@ def plan(
         ``rig.toml``.
     **options
         Fields of `shj_bayes.options.PlanOptions`.
-
-    Returns
-    -------
-    NextTest
-
-    Raises
-    ------
-    ShjError
-        If a folder, a limit or a question cannot be used.
     """
     (asked,) = _sorted(options, PlanOptions)
     folder, held = _place(out)
@@ -366,33 +296,16 @@ def plan(
 
 
 def tables(out: str | Path | None = None, *, seed: int = 1, progress: bool = False) -> CampaignResult:
-    """Pool the published, rounded parameter tables alone; parameters as for `Campaign.run`.
-
-    Returns
-    -------
-    CampaignResult
-    """
+    """Pool the published, rounded parameter tables alone; parameters as for `Campaign.run`."""
     folder, held = _place(out)
     result = summarise_tables(folder, paper_claims(), seed=seed, progress=progress)
     return CampaignResult(folder, result.record, held)
 
 
 def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult | NextTest:
-    """Read a finished result; of a folder that holds both a fit and a diagnosis, the fit.
+    """Read a finished result from what was given to ``-o`` or ``out``; of a fit and a diagnosis in one, the fit.
 
-    Parameters
-    ----------
-    folder : str or Path
-        What was given to ``-o`` or ``out``.
-
-    Returns
-    -------
-    FitResult, Diagnosis, CampaignResult or NextTest
-
-    Raises
-    ------
-    ReportError
-        If it holds no result, or one that is damaged.
+    `ReportError` if it holds no result, or one that is damaged.
     """
     place = Path(folder)
     for kind, result in (
@@ -409,16 +322,14 @@ def load(folder: str | Path) -> FitResult | Diagnosis | CampaignResult | NextTes
 
 def _listed(recordings: Recordings, options: FitOptions) -> list[Path | Recording]:
     """One recording or several, as a list; data frames are read with the options on columns and units."""
-    given = [recordings] if isinstance(recordings, str | Path | Recording | pd.DataFrame) else recordings
-    how = partial(read_frame, columns=options.columns, units=options.units, rate_Hz=options.rate_Hz)
-    return [
-        Path(item)
-        if isinstance(item, str)
-        else how(item, f"data frame {number}")
-        if isinstance(item, pd.DataFrame)
-        else item
-        for number, item in enumerate(given, start=1)
-    ]
+    out: list[Path | Recording] = []
+    for item in [recordings] if isinstance(recordings, str | Path | Recording | pd.DataFrame) else recordings:
+        if isinstance(item, pd.DataFrame):
+            name, how = f"data frame {len(out) + 1}", {"columns": options.columns, "units": options.units}
+            out.append(read_frame(item, name, rate_Hz=options.rate_Hz, **how))
+        else:
+            out.append(Path(item) if isinstance(item, str) else item)
+    return out
 
 
 def _sorted(given: dict[str, Any], *kinds: Any) -> Any:

@@ -63,7 +63,7 @@ class _Command(click.Command):
     """A command whose help ends with examples."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        if examples := EXAMPLES.get(str(self.name)):
+        if examples := [line for line in EXAMPLES.splitlines() if line.startswith(f"shj-bayes {self.name} ")]:
             with formatter.section("Examples"):
                 formatter.write_text("\b\n" + "\n".join(examples))
 
@@ -98,17 +98,17 @@ def _out(default: str | None = None) -> Command:
     return click.option("-o", "--out", type=FOLDER, help="Folder for the results.", **presence)
 
 
+def _number(flag: str, name: str, default: float, words: str) -> Command:
+    """Option that is a number."""
+    return click.option(flag, name, type=type(default), default=default, show_default=True, help=words)
+
+
 class _Choice(click.Choice[str]):
     """Words; the old name of the published model is still taken."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         old = value == "seed" and "published" in self.choices
         return super().convert("published" if old else value, param, ctx)
-
-
-def _words(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str, ...]:
-    """Words between commas."""
-    return tuple(part.strip() for part in value.split(",") if part.strip())
 
 
 def _declared(kind: type, *names: str) -> Command:
@@ -123,7 +123,7 @@ def _click_option(kind: type, one: Field[Any], hint: Any) -> Command:
     says = one.metadata
     how: dict[str, Any] = {"help": says["words"], "metavar": says["metavar"]}
     if says["commas"]:
-        how |= {"default": "", "callback": _words}
+        how |= {"default": "", "callback": lambda _, __, value: tuple(filter(None, map(str.strip, value.split(","))))}
     elif one.default is False:
         how["is_flag"] = True
     elif one.default == ():
@@ -164,16 +164,23 @@ def _with_output(function: Command) -> Command:
 WORKERS = click.option(
     "--workers", type=click.IntRange(1, 256), help="Processors to use; the numbers do not depend on it."
 )
-FORCE = click.option("--force", is_flag=True, help="Replace the result of another device in the folder.")
+SEED = _declared(FitOptions, "seed")
+RECORDINGS = click.argument("recordings", nargs=-1, required=True, type=PATH, metavar="REC...")
 READING = _options(
     _declared(FitOptions, "columns", "units", "rate_Hz", "sheet"),
     click.option("--runs", "n_runs", type=click.IntRange(1), metavar="N", help="Runs that the files hold together."),
     click.option("--split", is_flag=True, help="Split files where several runs are found."),
     click.option("--one-run", is_flag=True, help="Each file is one run, whatever it looks like."),
 )
-MODELLING = _declared(FitOptions, "priors", "priors_from", "model", "noise", "effects", "free", "max_steps")
-SEED, NAME = _declared(FitOptions, "seed"), _declared(DiagnoseOptions, "name")
-RECORDINGS = click.argument("recordings", nargs=-1, required=True, type=PATH, metavar="REC...")
+ON_DEVICE = _options(
+    RECORDINGS,
+    _out(),
+    READING,
+    _declared(FitOptions, "priors", "priors_from", "model", "noise", "effects", "free", "max_steps", "seed"),
+    _declared(DiagnoseOptions, "name"),
+    click.option("--force", is_flag=True, help="Replace the result of another device in the folder."),
+    WORKERS,
+)
 
 
 def _reading(n_runs: int | None, split: bool, one_run: bool, **options: Any) -> dict[str, Any]:
@@ -196,10 +203,7 @@ def main() -> None:
 @WORKERS
 @QUIET
 def demo(out: Path, seed: int, workers: int | None, quiet: bool) -> None:
-    """Run the whole job on simulated data.
-
-    They ship with the project.
-    """
+    """Run the whole job on simulated data. They ship with the project."""
     from shj_bayes._util.files import shipped
 
     manifest = shipped("data", "examples", "campaign.toml")
@@ -211,10 +215,7 @@ def demo(out: Path, seed: int, workers: int | None, quiet: bool) -> None:
 @READING
 @_with_output
 def check(recordings: tuple[Path, ...], output: Output, **reading: Any) -> None:
-    """Read recordings; say what was found and assumed.
-
-    What was repaired is told too. Exit status 1 when one of them cannot be used.
-    """
+    """Read recordings; say what was found, assumed and repaired. Exit status 1 when one of them cannot be used."""
     reading = _reading(**reading)
     if not output.as_json and not any(path.exists() for path in recordings):
         need_files(recordings, RecordingError)
@@ -227,33 +228,17 @@ def check(recordings: tuple[Path, ...], output: Output, **reading: Any) -> None:
 
 
 @main.command()
-@RECORDINGS
-@_out()
-@READING
-@MODELLING
-@SEED
-@NAME
-@FORCE
-@WORKERS
+@ON_DEVICE
 @_with_output
 def fit(
-    recordings: tuple[Path, ...],
-    out: Path,
-    name: str | None,
-    force: bool,
-    workers: int | None,
-    output: Output,
-    **options: Any,
+    recordings: tuple[Path, ...], out: Path, force: bool, workers: int | None, output: Output, **options: Any
 ) -> None:
-    """Posterior of one device.
-
-    Several recordings are its consecutive runs.
-    """
+    """Posterior of one device. Several recordings are its consecutive runs."""
     need_files(recordings, RecordingError)
     from shj_bayes.app.resume import kept_result
     from shj_bayes.results.fit import Trust
 
-    options = _reading(**options)
+    name, options = options.pop("name"), _reading(**options)
     result = kept_result(recordings, out, options, name)
     if result is None:
         from shj_bayes.app.device import Work, fit_device, step_told
@@ -267,23 +252,13 @@ def fit(
 
 
 @main.command()
-@RECORDINGS
-@_out()
-@READING
-@MODELLING
+@ON_DEVICE
 @_declared(DiagnoseOptions, "without", "quick")
-@SEED
-@NAME
-@FORCE
-@WORKERS
 @_with_output
 def diagnose(
     recordings: tuple[Path, ...], out: Path, force: bool, workers: int | None, output: Output, **options: Any
 ) -> None:
-    """Find, name and model what the base law leaves out.
-
-    Fits the device first, and shows the fit before and after.
-    """
+    """Find, name and model what the base law leaves out. Shows the fit before and after."""
     need_files(recordings, RecordingError)
     from shj_bayes.app.device import Work, diagnose_device
 
@@ -308,9 +283,8 @@ def diagnose(
 def campaign(manifest: Path, out: Path, workers: int | None, cluster: str | None, **options: Any) -> None:
     """Fit and diagnose all devices of a TOML manifest.
 
-    Then population and report; the same command goes on where it stopped.
-
-    Exit status 3 when it is done but for devices that failed.
+    Then population and report; the same command goes on where it stopped. Exit status 3 when it is done but for devices
+    that failed.
     """
     if cluster is not None and workers:
         raise click.UsageError("--workers is for this machine and --dask for a cluster; give one of them.")
@@ -361,10 +335,7 @@ def bench(folder: Path, no_browser: bool, shortcut: bool) -> None:
 @SEED
 @_with_output
 def tables(out: Path, seed: int, output: Output) -> None:
-    """Bands and comparisons of the published tables.
-
-    They give parameters alone, rounded.
-    """
+    """Bands and comparisons of the published tables. They give parameters alone, rounded."""
     make_writable(out)
     from shj_bayes.app.campaign import summarise_tables
     from shj_validation.paper_claims import paper_claims
@@ -378,10 +349,7 @@ def tables(out: Path, seed: int, output: Output) -> None:
 @_declared(MarginOptions)
 @_with_output
 def margins(folder: Path, output: Output, **options: Any) -> None:
-    """Draw up design margins.
-
-    Of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json.
-    """
+    """Draw up design margins. Of a campaign or of the tables in DIR: margins.html, .csv, .xlsx, .json."""
     need_population(folder)
     from shj_bayes.app.resume import design_margins
 
@@ -401,10 +369,7 @@ def margins(folder: Path, output: Output, **options: Any) -> None:
 def export(
     folder: Path, target: str, out: Path | None, amplitude_mm: float | None, draws: int | None, output: Output
 ) -> None:
-    """Write materials or links for structural analysis.
-
-    Lower, middle and upper bounds of a campaign or of the tables in DIR.
-    """
+    """Write materials or links for structural analysis. Bounds of a campaign or of the tables in DIR."""
     need_population(folder)
     from shj_bayes.app.design import export_analysis
 
@@ -443,32 +408,22 @@ def compare(folder: Path, set_a: str, set_b: str, rope: float, out: Path | None,
 
 @main.command()
 @click.option("-o", "--out", "stem", type=PATH, required=True, help="Stem of the files.")
-@click.option("--K", "K", type=float, default=18.0, show_default=True, help="Stiffness, kN/mm.")
-@click.option("--Fy", "Fy", type=float, default=80.0, show_default=True, help="Sliding force of the first run, kN.")
-@click.option("--beta", type=float, default=10.0, show_default=True, help="Sharpness, 1 to 500.")
 @click.option("--dep", type=float, help="Speed dependence 1/gamma, mm/s; none by default.")
-@click.option("--ratio", type=float, default=0.875, show_default=True, help="Fy of the second run / first.")
-@click.option("--sigma", type=float, default=1.0, show_default=True, help="Force noise scale, kN.")
-@click.option("--phi", type=float, default=0.8, show_default=True, help="Lag-one correlation of the force noise.")
-@click.option("--sigma-slow", type=float, default=0.0, show_default=True, help="Slow noise on top of it, kN.")
-@click.option("--tau-slow", type=float, default=3.0, show_default=True, help="Its correlation time, s.")
-@click.option(
-    "--displacement-noise",
-    "displacement_noise_mm",
-    type=float,
-    default=0.02,
-    show_default=True,
-    help="Displacement noise, mm.",
-)
-@click.option("--rate", "rate_Hz", type=float, default=20.0, show_default=True, help="Sampling rate, Hz.")
-@click.option("--last-cycles", type=int, default=5, show_default=True, help="Cycles in the last block of Table 1.")
+@_number("--K", "K", 18.0, "Stiffness, kN/mm.")
+@_number("--Fy", "Fy", 80.0, "Sliding force of the first run, kN.")
+@_number("--beta", "beta", 10.0, "Sharpness, 1 to 500.")
+@_number("--ratio", "ratio", 0.875, "Fy of the second run / first.")
+@_number("--sigma", "sigma", 1.0, "Force noise scale, kN.")
+@_number("--phi", "phi", 0.8, "Lag-one correlation of the force noise.")
+@_number("--sigma-slow", "sigma_slow", 0.0, "Slow noise on top of it, kN.")
+@_number("--tau-slow", "tau_slow", 3.0, "Its correlation time, s.")
+@_number("--displacement-noise", "displacement_noise_mm", 0.02, "Displacement noise, mm.")
+@_number("--rate", "rate_Hz", 20.0, "Sampling rate, Hz.")
+@_number("--last-cycles", "last_cycles", 5, "Cycles in the last block of Table 1.")
 @_declared(FitOptions, "model", "seed")
 @QUIET
 def simulate(stem: Path, dep: float | None, quiet: bool, **options: Any) -> None:
-    """Make recordings from stated parameters.
-
-    Two runs of Table 1, with the truth beside them.
-    """
+    """Make recordings from stated parameters. Two runs of Table 1, with the truth beside them."""
     from shj_bayes.app.device import gamma_of, write_simulated
     from shj_bayes.model.simulate import Truth
 
@@ -493,14 +448,11 @@ def plan(
     folders: tuple[Path, ...],
     out: Path | None,
     rig: Path | None,
-    output: Output,
     example_rig: Path | None,
-    **options: Any,
+    output: Output,
+    **asked: Any,
 ) -> None:
-    """Plan the next test of devices, or of a new one.
-
-    Of the devices whose results are in DIR, or from --priors.
-    """
+    """Plan the next test of devices, or of a new one. Of those whose results are in DIR, or from --priors."""
     if example_rig is not None:
         from shj_bayes._util.files import shipped, write_text
 
@@ -508,12 +460,12 @@ def plan(
         return
     if out is None:
         raise click.UsageError("Missing option '-o' / '--out'.")
-    if bool(folders) == (options["priors"] is not None):
+    if bool(folders) == (asked["priors"] is not None):
         raise click.UsageError("Give the folder of a diagnosed device, or --priors for a plan before any test.")
     need_files([*folders, *([rig] if rig else [])], PlanError)
     from shj_bayes.app.plan import plan_next
 
-    planned = plan_next(folders, out, PlanOptions(**_stated(options)), rig=rig, tell=output.tell)
+    planned = plan_next(folders, out, PlanOptions(**_stated(asked)), rig=rig, tell=output.tell)
     output.show(planned.record, planned.text)
 
 
@@ -524,10 +476,7 @@ def plan(
 )
 @click.option("--pdf", is_flag=True, help="Print the page to PDF beside it, by an installed Chromium, Chrome or Edge.")
 def open_(folder: Path, page: str | None, pdf: bool) -> None:
-    """Open the page of a result, or print it to PDF.
-
-    The browser reads it from the disk; nothing is served.
-    """
+    """Open the page of a result, or print it to PDF. The browser reads it from the disk; nothing is served."""
     from shj_bayes.report.browse import open_page, page_of, write_pdf
 
     found = page_of(folder, page)
@@ -542,15 +491,11 @@ def open_(folder: Path, page: str | None, pdf: bool) -> None:
 @main.command()
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
 def completion(shell: str) -> None:
-    """Print what makes a shell complete commands.
-
-    It completes options too; the guide says where to put it.
-    """
+    """Print what makes a shell complete commands and options. The guide says where to put it."""
     from click.shell_completion import get_completion_class
 
     found = get_completion_class(shell)
-    if found is None:
-        raise ShjError(f"there is no completion for {shell}")
+    assert found is not None
     click.echo(found(main, {}, "shj-bayes", "_SHJ_BAYES_COMPLETE").source())
 
 
@@ -565,7 +510,7 @@ PROOF_SEED = 49042132  # of the project's own proof
 @click.option("--check", "checked", type=FOLDER, help="Check a finished proof.")
 @click.option("--recordings", type=FOLDER, help="Real recordings, answer withheld.")
 @click.option("--challenge", type=click.IntRange(1, 999), metavar="N", help="Write N devices without truth.")
-@click.option("--score", "sheet", type=click.Path(path_type=Path), help="Score the answers to a challenge.")
+@click.option("--score", "sheet", type=PATH, help="Score the answers to a challenge.")
 @click.option("--full", is_flag=True, help="Every diagnosis in full: three times as long.")
 @click.option("--open-now", is_flag=True, help="Open a stopped proof and score the trials diagnosed so far.")
 @WORKERS
@@ -593,43 +538,35 @@ def prove(
 
         lines = check_proof(checked, **how)
         output.show({"checked": lines}, "\n".join([*lines, "the transcript holds"]))
-        return
-    if sheet is not None:
+    elif sheet is not None:
         from shj_validation.proof.challenge import score_challenge
 
         scored = score_challenge(sheet, seed, out, progress=output.speaks)
         output.show(scored.record, scored.text)
-        return
-    if out is None:
+    elif out is None:
         raise click.UsageError("Missing option '-o' / '--out'.")
-    if challenge is not None:
+    elif challenge is not None:
         from shj_validation.proof.challenge import make_challenge
 
         opening = make_challenge(out, challenge, seed, progress=output.speaks)
-        output.show(
-            {"kit": str(out), "opening": str(opening)},
-            f"kit: {out} (README.txt says how)\nseed: {opening}; keep it, and state it when the answers are in",
-        )
-        return
-    if recordings is not None:
+        words = f"kit: {out} (README.txt says how)\nseed: {opening}; keep it, and state it when the answers are in"
+        output.show({"kit": str(out), "opening": str(opening)}, words)
+    elif recordings is not None:
         from shj_validation.proof.real import prove_recordings
 
         real = prove_recordings(recordings, out, **how)
         output.show(real.record, real.text)
-        return
-    from shj_validation.proof.run import prove as prove_effects
+    else:
+        from shj_validation.proof.run import prove as prove_effects
 
-    proof = prove_effects(out, seed=PROOF_SEED if seed is None else seed, quick=not full, **trials, **how)
-    output.show(proof.score, proof.text)
+        proof = prove_effects(out, seed=PROOF_SEED if seed is None else seed, quick=not full, **trials, **how)
+        output.show(proof.score, proof.text)
 
 
 @main.command()
 @JSON
 def doctor(as_json: bool) -> None:
-    """Say what is installed and whether it works.
-
-    Also how fast this machine is.
-    """
+    """Say what is installed and whether it works. Also how fast this machine is."""
     from shj_bayes.app.device import examine
 
     record, text = examine()
@@ -638,53 +575,44 @@ def doctor(as_json: bool) -> None:
         raise ShjError("something does not work; the lines above say what")
 
 
-EXAMPLES: dict[str, tuple[str, ...]] = {
-    "bench": ("shj-bayes bench lab", "shj-bayes bench lab --no-browser"),
-    "demo": ("shj-bayes demo", "shj-bayes demo -o first-look"),
-    "check": (
-        "shj-bayes check run1.csv run2.csv",
-        "shj-bayes check test.txt --columns time=1,displacement=5,force=7 --units ms,mm,N",
-    ),
-    "fit": (
-        "shj-bayes fit run1.csv run2.csv -o results",
-        "shj-bayes fit test.txt -o other --columns time=1,displacement=5,force=7 --units ms,mm,N",
-        "shj-bayes fit run1.csv run2.csv -o freed --free K,gamma --priors general",
-    ),
-    "diagnose": (
-        "shj-bayes diagnose run1.csv run2.csv -o results",
-        "shj-bayes diagnose run1.csv run2.csv -o look --quick",
-        "shj-bayes diagnose run1.csv -o results --without velocity",
-    ),
-    "campaign": (
-        "shj-bayes campaign campaign.toml -o spring",
-        "shj-bayes campaign campaign.toml -o spring --workers 4",
-        "shj-bayes campaign campaign.toml -o spring --dask tcp://10.0.0.5:8786",
-    ),
-    "tables": ("shj-bayes tables -o tables",),
-    "margins": ("shj-bayes margins spring", "shj-bayes margins tables"),
-    "compare": (
-        'shj-bayes compare tables "Zinc 70" "Zinc 70 corroded"',
-        'shj-bayes compare spring bare "zinc 70 %" --json',
-    ),
-    "simulate": (
-        "shj-bayes simulate -o made/a --K 18 --Fy 80 --dep 60",
-        "shj-bayes simulate -o made/b --beta 100 --dep -60 --ratio 0.7 --rate 10 --seed 7",
-    ),
-    "prove": (
-        "shj-bayes prove -n 4 -o proof",
-        "shj-bayes prove -n 40 --seed 7 -o proof",
-        "shj-bayes prove --challenge 10 -o kit",
-        "shj-bayes prove --score kit/answers.csv",
-    ),
-    "export": ("shj-bayes export spring --to opensees",),
-    "plan": (
-        "shj-bayes plan results -o next",
-        "shj-bayes plan results -o next --max-speed 40 --max-minutes 20",
-        "shj-bayes plan results -o next --among velocity,prying",
-        "shj-bayes plan -o first --priors afc --rig rig.toml",
-        "shj-bayes plan --example-rig rig.toml",
-    ),
-    "open": ("shj-bayes open results", "shj-bayes open results --page diagnosis", "shj-bayes open spring --pdf"),
-    "completion": ("shj-bayes completion bash", "shj-bayes completion zsh"),
-    "doctor": ("shj-bayes doctor", "shj-bayes doctor --json"),
-}
+EXAMPLES = """
+shj-bayes bench lab
+shj-bayes bench lab --no-browser
+shj-bayes demo
+shj-bayes demo -o first-look
+shj-bayes check run1.csv run2.csv
+shj-bayes check test.txt --columns time=1,displacement=5,force=7 --units ms,mm,N
+shj-bayes fit run1.csv run2.csv -o results
+shj-bayes fit test.txt -o other --columns time=1,displacement=5,force=7 --units ms,mm,N
+shj-bayes fit run1.csv run2.csv -o freed --free K,gamma --priors general
+shj-bayes diagnose run1.csv run2.csv -o results
+shj-bayes diagnose run1.csv run2.csv -o look --quick
+shj-bayes diagnose run1.csv -o results --without velocity
+shj-bayes campaign campaign.toml -o spring
+shj-bayes campaign campaign.toml -o spring --workers 4
+shj-bayes campaign campaign.toml -o spring --dask tcp://10.0.0.5:8786
+shj-bayes tables -o tables
+shj-bayes margins spring
+shj-bayes margins tables
+shj-bayes compare tables "Zinc 70" "Zinc 70 corroded"
+shj-bayes compare spring bare "zinc 70 %" --json
+shj-bayes simulate -o made/a --K 18 --Fy 80 --dep 60
+shj-bayes simulate -o made/b --beta 100 --dep -60 --ratio 0.7 --rate 10 --seed 7
+shj-bayes prove -n 4 -o proof
+shj-bayes prove -n 40 --seed 7 -o proof
+shj-bayes prove --challenge 10 -o kit
+shj-bayes prove --score kit/answers.csv
+shj-bayes export spring --to opensees
+shj-bayes plan results -o next
+shj-bayes plan results -o next --max-speed 40 --max-minutes 20
+shj-bayes plan results -o next --among velocity,prying
+shj-bayes plan -o first --priors afc --rig rig.toml
+shj-bayes plan --example-rig rig.toml
+shj-bayes open results
+shj-bayes open results --page diagnosis
+shj-bayes open spring --pdf
+shj-bayes completion bash
+shj-bayes completion zsh
+shj-bayes doctor
+shj-bayes doctor --json
+"""

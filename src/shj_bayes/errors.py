@@ -1,20 +1,4 @@
-"""What can go wrong, as a tree; every message says what came, what is allowed and what to do.
-
-::
-
-    ShjError
-    |-- RecordingError    a recording cannot be read or cannot be used
-    |-- ModelError        a parameter or a model choice outside what the law allows
-    |   `-- OptionError       an option of a function that there is not; a TypeError, too, as Python's own
-    |-- PriorError        a prior file that is malformed or cannot hold the data
-    |-- InferenceError    the sampler could not start or gave nothing usable
-    |   `-- CheckpointError   a checkpoint of another problem, or an altered one
-    |-- CampaignError     a manifest or a campaign folder that cannot be used
-    |-- PopulationError   too little, or contradictory, input for a population statement
-    |-- PlanError         a plan that a rig, a folder or a question does not allow
-    |-- ReportError       a results folder that cannot be shown
-    `-- ProofError        a proof folder that cannot be gone on with, or does not check
-"""
+"""What can go wrong, as a tree; every message says what came, what is allowed and what to do."""
 
 import difflib
 import unicodedata
@@ -82,10 +66,7 @@ def words_of(error: Exception) -> str:
 class ShjError(Exception):
     """Base of every error that a user can mend; the command line prints it as one line and exits 1.
 
-    Parameters
-    ----------
-    message : str
-        What came, what is allowed, what to do. It may quote a file, so what could steer a terminal is taken out.
+    It may quote a file, so what could steer a terminal is taken out.
     """
 
     def __init__(self, message: str) -> None:

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-from shj_bayes.errors import ModelError, PopulationError, shown
+from shj_bayes.errors import ModelError, PopulationError, ShjError, shown
 
 if TYPE_CHECKING:
     from shj_bayes.model.device import DeviceModel
@@ -20,6 +20,29 @@ if TYPE_CHECKING:
 
 DIAGNOSES = ("quick", "full", "off")  # how a campaign looks for what the law leaves out
 Kind = TypeVar("Kind")
+SEEDS = (0, 2**32 - 1)
+Rule = tuple[str, Callable[[Any], bool]]  # what a value must be, in words, and whether it is
+LEAST_MM = 20.0  # lengths of a storey below it are metres: no storey is 20 mm high, and no arm 20 m long
+POSITIVE: Rule = ("a number above zero", lambda value: 0 < value < math.inf)
+SHARE: Rule = ("a number between 0 and 1", lambda value: 0 < value < 1)
+
+
+def between(least: float, most: float) -> Rule:
+    """Numbers from one to another."""
+    return f"{least} to {most}", lambda value: least <= value <= most
+
+
+def in_mm(length: float) -> float:
+    """Length of a storey in mm, stated in m or mm."""
+    return 1000.0 * length if length < LEAST_MM else length
+
+
+def length(least_mm: float, most_mm: float) -> Rule:
+    """Lengths of a storey."""
+    words = (
+        f"{least_mm:g} to {most_mm:g} mm, or {least_mm / 1000:g} to {most_mm / 1000:g} m: below {LEAST_MM:g} it is m"
+    )
+    return words, lambda value: least_mm <= in_mm(value) <= most_mm
 
 
 _UNIT = re.compile("_(mm|mm_s|kN|Hz|deg)$")  # at the end of a name, that the flag has not
@@ -33,39 +56,19 @@ def flag_of(kind: Any, name: str) -> str:
 
 def option(
     default: Any,
-    words: str,
-    metavar: str | None = None,
+    words: str,  # what it is, for the help of the command and of the class
+    metavar: str | None = None,  # value as the help of the command writes it
+    rule: Rule | None = None,  # what a value must be where one is given
     *,
-    flag: str = "",
-    choices: Sequence[str] = (),
-    bounds: tuple[int, int] | None = None,
-    typed: tuple[int, int] | None = None,
-    commas: bool = False,
-    shown: bool = True,
+    flag: str = "",  # in the place of the field's name
+    choices: Sequence[str] = (),  # words that a command takes
+    typed: tuple[int, int] | None = None,  # smallest and largest whole number that a command takes
+    commas: bool = False,  # several values stand between commas; else the flag may be given again
+    shown: bool = True,  # whether the help of the command states the default
 ) -> Any:
-    """Field of options: what it is, and how it is written in a command.
-
-    Parameters
-    ----------
-    default : object
-        Value where nothing is said.
-    words : str
-        What it is, for the help of the command and of the class.
-    metavar : str, optional
-        Value as the help of the command writes it.
-    flag : str
-        In the place of the field's name.
-    choices : sequence of str
-        Words that a command takes.
-    bounds, typed : tuple of int, optional
-        Smallest and largest value; the same of a command, where it allows less.
-    commas : bool
-        Several values stand between commas; else the flag may be given again.
-    shown : bool
-        Whether the help of the command states the default.
-    """
+    """Field of options: what it is, and how it is written in a command."""
     says = {"words": words, "metavar": metavar, "flag": flag, "choices": choices, "commas": commas, "shown": shown}
-    return field(default=default, metadata=says | {"bounds": bounds, "typed": typed or bounds})
+    return field(default=default, metadata=says | {"rule": rule, "typed": typed})
 
 
 def documented(kind: type[Kind]) -> type[Kind]:
@@ -73,13 +76,19 @@ def documented(kind: type[Kind]) -> type[Kind]:
     own: Any = kind
     rows = ["", "Parameters", "----------"]
     for one in fields(own):
-        choices, bounds = one.metadata["choices"], one.metadata["bounds"]
-        allowed = (
-            f" One of {', '.join(choices)}." if choices else f" From {bounds[0]} to {bounds[1]}." if bounds else ""
-        )
+        choices, rule = one.metadata["choices"], one.metadata["rule"]
+        allowed = f" One of {', '.join(choices)}." if choices else f" Allowed is {rule[0]}." if rule else ""
         rows.append(f"{one.name} : {one.type}, default {one.default!r}\n    {one.metadata['words']}{allowed}")
     kind.__doc__ = "\n".join([str(kind.__doc__), *rows])
     return kind
+
+
+def _check_rules(options: Any, error: type[ShjError]) -> None:
+    """Refuse values that are not what their fields allow."""
+    for one in fields(options):
+        found, rule = getattr(options, one.name), one.metadata["rule"]
+        if rule and found is not None and not rule[1](found):
+            raise error(f"{one.name} = {shown(found, 20)}; allowed is {rule[0]}")
 
 
 @documented
@@ -102,11 +111,11 @@ class FitOptions:
     )
     effects: tuple[str, ...] = option((), "Physical effects that are known to be there.", "slack,wear", commas=True)
     free: tuple[str, ...] = option((), "Parameters that each run has for itself.", "K,beta,gamma", commas=True)
-    seed: int = option(1, "Same seed and inputs, same numbers.", bounds=(0, 2**32 - 1))
+    seed: int = option(1, "Same seed and inputs, same numbers.", rule=between(*SEEDS), typed=SEEDS)
     max_steps: int = option(
         10_000,
         "Steps after which sampling stops even if it has not converged.",
-        bounds=(1, 1_000_000),
+        rule=between(1, 1_000_000),
         typed=(200, 1_000_000),
     )
     runs: int | Literal["split", "one"] | None = option(
@@ -124,7 +133,7 @@ class FitOptions:
         from shj_bayes.recording.units import parse_units
 
         object.__setattr__(self, "model", variant_named(self.model))
-        _check_bounds(self)
+        _check_rules(self, ModelError)
         asked = parse_columns(self.columns)
         parse_units(self.units)
         if self.rate_Hz is not None:
@@ -183,7 +192,7 @@ class PlanOptions:
         (), "A further candidate: displacement (mm) over time (s).", "FILE", flag="--history"
     )
     priors: str = option("afc", "Family that ships (afc, general) or TOML file: a plan before any test.", shown=False)
-    seed: int = option(1, "Same seed and inputs, same numbers.", bounds=(0, 2**32 - 1))
+    seed: int = option(1, "Same seed and inputs, same numbers.", rule=between(*SEEDS), typed=SEEDS)
 
 
 @documented
@@ -191,96 +200,76 @@ class PlanOptions:
 class MarginOptions:
     """What is asked of the margins."""
 
-    amplitude_mm: float | None = option(None, "Of a sine, in place of the tests themselves.", "MM")
-    speed_mm_s: float | None = option(None, "Its peak speed; largest tested by default.", "MM/S")
-    cycles: int | None = option(None, "Its cycles; 3 by default.", "N")
+    amplitude_mm: float | None = option(None, "Of a sine, in place of the tests themselves.", "MM", POSITIVE)
+    speed_mm_s: float | None = option(None, "Its peak speed; largest tested by default.", "MM/S", POSITIVE)
+    cycles: int | None = option(None, "Its cycles; 3 by default.", "N", POSITIVE)
     slip: Path | None = option(
         None, "Slip of the device (mm) over time (s), two columns, in place of the tests themselves.", "FILE"
     )
     history: Path | None = option(None, "The same as --slip.", "FILE")
     drift: Path | None = option(None, "Drift of a storey (mm) over time (s); slip follows by:", "FILE")
-    storey_height: float | None = option(None, "Slip = drift x lever arm / height; m, from 20 on mm.", "M")
-    lever_arm: float | None = option(None, "From the centre of rotation to the sliding plane; m or mm.", "M")
-    brace_angle_deg: float | None = option(None, "Or slip = drift x cos of the angle to the horizontal.", "DEG")
+    storey_height: float | None = option(
+        None, "Slip = drift x lever arm / height; m, from 20 on mm.", "M", length(1000.0, 19_999.0)
+    )
+    lever_arm: float | None = option(
+        None, "From the centre of rotation to the sliding plane; m or mm.", "M", length(20.0, 10_000.0)
+    )
+    brace_angle_deg: float | None = option(
+        None,
+        "Or slip = drift x cos of the angle to the horizontal.",
+        "DEG",
+        rule=("0 to below 90 degrees", lambda value: 0 <= value < 90),
+    )
     extrapolate: bool = option(False, "Allow speed, travel and time beyond the tests: bounded laws.")
-    nominal_kN: float | None = option(None, "Nominal sliding force; typical device by default.", "KN")
-    bolts: int | None = option(None, "Nominal force V_ss = bolts x surfaces x mu x clamping, in its place.", "N")
-    surfaces: int = option(2, "Sliding surfaces of V_ss.")
-    mu: float | None = option(None, "Coefficient of friction of V_ss.", "MU")
-    clamping_kN: float | None = option(None, "Clamping force (proof load) of one bolt, of V_ss.", "KN")
+    nominal_kN: float | None = option(None, "Nominal sliding force; typical device by default.", "KN", POSITIVE)
+    bolts: int | None = option(
+        None, "Nominal force V_ss = bolts x surfaces x mu x clamping, in its place.", "N", POSITIVE
+    )
+    surfaces: int = option(2, "Sliding surfaces of V_ss.", rule=POSITIVE)
+    mu: float | None = option(
+        None, "Coefficient of friction of V_ss.", "MU", rule=("between 0 and 2", lambda value: 0 < value < 2)
+    )
+    clamping_kN: float | None = option(None, "Clamping force (proof load) of one bolt, of V_ss.", "KN", POSITIVE)
     importance: str = option("II", "Importance class of the structure (EN 15129).", choices=("I", "II", "III"))
-    v_known: float | None = option(None, "Known coefficient of variation of the sliding force.", "V")
+    v_known: float | None = option(None, "Known coefficient of variation of the sliding force.", "V", SHARE)
     v_reason: str = option("", "Where V is known from; printed beside the values.", "WORDS")
     reliability: str = option("0.95", "Of the forces: share of devices within, or beta=1.5 (EN 1990).", "P")
-    connections: int | None = option(None, "Connections that act together: their sum, the largest of them.", "N")
-    force_wanted_kN: float | None = option(None, "Force to count on: bolts and clamping that it needs.", "KN")
-    clamping_cov: float | None = option(None, "Coefficient of variation of one bolt's tightening.", "V")
+    connections: int | None = option(
+        None, "Connections that act together: their sum, the largest of them.", "N", between(1, 1000)
+    )
+    force_wanted_kN: float | None = option(None, "Force to count on: bolts and clamping that it needs.", "KN", POSITIVE)
+    clamping_cov: float | None = option(None, "Coefficient of variation of one bolt's tightening.", "V", SHARE)
     sets: tuple[str, ...] = option((), "Draw up this set alone; may be given again.", "NAME", flag="--set")
 
     def __post_init__(self) -> None:
         """Refuse a nominal force that is none, a drift without its slip, and a known spread without a reason."""
-        for value, unit in ((self.amplitude_mm, "mm"), (self.speed_mm_s, "mm/s"), (self.cycles, "cycles")):
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise PopulationError(f"amplitude, speed and cycles must be above zero; got {value:g} {unit}")
+        _check_rules(self, PopulationError)
         files = [path for path in (self.slip, self.history, self.drift) if path is not None]
         if len(files) + ((self.amplitude_mm, self.speed_mm_s, self.cycles) != (None, None, None)) > 1:
             raise PopulationError("give one history: a slip, a drift, or amplitude, speed and cycles of a sine")
-        self._check_drift()
-        self._check_nominal()
-        self._check_many()
-        if self.v_known is not None and not 0 < self.v_known < 1:
-            raise PopulationError(f"a known coefficient of variation must lie between 0 and 1; got {self.v_known:g}")
+        turned = tuple(value is not None for value in (self.storey_height, self.lever_arm, self.brace_angle_deg))
+        # Without a drift, the arm or the angle alone make a moment or a storey force of the force of a device.
+        alone = {(False, False, False), (False, True, False), (False, False, True)}
+        if turned not in (alone if self.drift is None else {(True, True, False), (False, False, True)}):
+            raise PopulationError(
+                "--drift goes with --storey-height and --lever-arm, or with --brace-angle alone: a device feels slip, "
+                "not drift; a history that is slip already is given by --slip"
+            )
+        parts = (self.bolts, self.mu, self.clamping_kN)
+        if self.mu is not None and (None in parts or self.nominal_kN is not None):
+            raise PopulationError(
+                "V_ss needs --bolts, --mu and --clamping (kN of one bolt) together, and no --nominal beside them"
+            )
+        if not 0.5 <= self.probability <= 0.999:
+            raise PopulationError(
+                f"a reliability of {shown(self.reliability)}; allowed is a share of 0.5 to 0.999, or beta=0 to "
+                "beta=3.09 (share Phi(beta)): rarer devices no draws tell of"
+            )
         if (self.v_known is None) != (not self.v_reason.strip()):
             raise PopulationError(
                 "a coefficient of variation taken as known needs the reason, and a reason needs the value: give "
                 '--v-known 0.06 --v-reason "factory control of 300 devices"; without both, V counts as unknown'
             )
-
-    def _check_drift(self) -> None:
-        turned = [value for value in (self.storey_height, self.lever_arm) if value is not None]
-        angle = self.brace_angle_deg
-        # Without a drift, the arm or the angle alone make a moment or a storey force of the force of a device.
-        one_arm = self.drift is None and self.storey_height is None
-        allowed = {(0, True), (0, False), (1, False)} if one_arm else {(2, False), (0, True)}
-        if (len(turned), angle is not None) not in allowed or (self.drift is None and self.storey_height is not None):
-            raise PopulationError(
-                "--drift goes with --storey-height and --lever-arm, or with --brace-angle alone: a device feels slip, "
-                "not drift; a history that is slip already is given by --slip"
-            )
-        if angle is not None and not 0 <= angle < MOST_BRACE_DEG:
-            raise PopulationError(f"a brace is at 0 to below {MOST_BRACE_DEG} degrees to the horizontal; got {angle:g}")
-        lengths = ((self.storey_height, HEIGHT_MM, "storey height"), (self.lever_arm, ARM_MM, "lever arm"))
-        for value, (low, high), what in lengths:
-            if value is not None and not low <= in_mm(value) <= high:
-                raise PopulationError(
-                    f"a {what} of {value:g}, read as {in_mm(value):g} mm; allowed is {low:g} to {high:g} mm, or "
-                    f"{low / 1000:g} to {high / 1000:g} m: below {LEAST_MM:g} a length counts as metres"
-                )
-
-    def _check_nominal(self) -> None:
-        parts = (self.bolts, self.mu, self.clamping_kN)
-        stated = [value for value in parts if value is not None]
-        if self.mu is not None and (len(stated) < len(parts) or self.nominal_kN is not None):
-            raise PopulationError(
-                "V_ss needs --bolts, --mu and --clamping (kN of one bolt) together, and no --nominal beside them"
-            )
-        if not all(math.isfinite(x) and x > 0 for x in (*stated, self.surfaces)) or (self.mu or 0.0) >= MOST_MU:
-            raise PopulationError(f"numbers of V_ss must be above zero, and mu below {MOST_MU:g}")
-        if self.nominal_kN is not None and not (math.isfinite(self.nominal_kN) and self.nominal_kN > 0):
-            raise PopulationError(f"a nominal sliding force must be above zero; got {self.nominal_kN:g} kN")
-
-    def _check_many(self) -> None:
-        if not LEAST_RELIABILITY <= self.probability <= MOST_RELIABILITY:
-            raise PopulationError(
-                f"a reliability of {shown(self.reliability)}; allowed is a share of {LEAST_RELIABILITY:g} to "
-                f"{MOST_RELIABILITY:g}, or beta=0 to beta=3.09 (share Phi(beta)): rarer devices no draws tell of"
-            )
-        if self.connections is not None and not 1 <= self.connections <= MOST_CONNECTIONS:
-            raise PopulationError(f"connections: {self.connections}; allowed are 1 to {MOST_CONNECTIONS}")
-        if self.clamping_cov is not None and not 0 < self.clamping_cov < 1:
-            raise PopulationError(f"a coefficient of variation lies between 0 and 1; got {self.clamping_cov:g}")
-        if self.force_wanted_kN is not None and not 0 < self.force_wanted_kN < math.inf:
-            raise PopulationError(f"a force that is wanted must be above zero; got {self.force_wanted_kN:g} kN")
 
     @property
     def probability(self) -> float:
@@ -314,25 +303,4 @@ class MarginOptions:
         return None if self.nominal_kN is None else (self.nominal_kN, "stated by the user")
 
 
-LEAST_MM = 20.0
-"""Lengths of a storey below it are metres: no storey is 20 mm high, and no arm 20 m long."""
-HEIGHT_MM, ARM_MM = (1000.0, 19_999.0), (20.0, 10_000.0)
-MOST_BRACE_DEG, MOST_MU = 90, 2.0
-LEAST_RELIABILITY, MOST_RELIABILITY = 0.5, 0.999
-MOST_CONNECTIONS = 1000
-
-
-def in_mm(length: float) -> float:
-    """Length of a storey in mm, stated in m or mm."""
-    return 1000.0 * length if length < LEAST_MM else length
-
-
 PLAIN = MarginOptions()
-
-
-def _check_bounds(options: Any) -> None:
-    """Refuse numbers outside what their fields allow."""
-    for one in fields(options):
-        found, bounds = getattr(options, one.name), one.metadata["bounds"]
-        if bounds and not bounds[0] <= found <= bounds[1]:
-            raise ModelError(f"{one.name} = {shown(found, 20)}; allowed is {bounds[0]} to {bounds[1]}")

@@ -10,7 +10,6 @@ from scipy.integrate import trapezoid
 from shj_bayes.margins.export import (
     HELP,
     Bound,
-    Drawn,
     draws_script,
     exponent_of_steel02,
     link_csv,
@@ -147,10 +146,10 @@ def test_links_of_the_csi_programs_are_defined_in_their_units(tmp_path, program)
         script["done"]([1], "zinc")
 
 
-DRAWN = (
-    Drawn("zinc", 1, 12.0, 80.0, 64.0, exponent_of_steel02(10.0), 0.9),
-    Drawn(HOSTILE, 1, 18.0, 60.0, 60.0, exponent_of_steel02(30.0), 1.2),
-)
+DRAWN = {
+    "zinc": np.array([[12.0, 80.0, 64.0, exponent_of_steel02(10.0), 0.9]]),
+    HOSTILE: np.array([[18.0, 60.0, 60.0, exponent_of_steel02(30.0), 1.2]]),
+}
 SPEED = 10.0
 
 
@@ -186,15 +185,13 @@ def test_a_drawn_device_carries_its_speed_law(drawn_script):
 
 def test_opensees_slides_a_drawn_device_at_its_speed(drawn_script):
     ops = opensees()
-    for d in DRAWN:
-        assert max(drawn_script["loop"](ops, d.set_name, 1, np.linspace(0, 60, 600))) == pytest.approx(
-            d.force_kN, rel=0.02
-        )
-        for speed, share in ((9.5661, 1.0), (1e-3, d.share_at_rest)):
-            assert slid(ops, drawn_script, d, speed) == pytest.approx(share * d.force_kN, rel=0.01)
+    for name, ((_, force_kN, _, _, at_rest),) in DRAWN.items():
+        assert max(drawn_script["loop"](ops, name, 1, np.linspace(0, 60, 600))) == pytest.approx(force_kN, rel=0.02)
+        for speed, share in ((9.5661, 1.0), (1e-3, at_rest)):
+            assert slid(ops, drawn_script, name, speed) == pytest.approx(share * force_kN, rel=0.01)
 
 
-def slid(ops, script, device, speed):
+def slid(ops, script, name, speed):
     """Force of a bearing element with the friction model, slid 30 mm at a speed under a normal force of 1 kN."""
     ops.wipe()
     ops.model("basic", "-ndm", 2, "-ndf", 3)
@@ -202,10 +199,10 @@ def slid(ops, script, device, speed):
         ops.node(node, 0.0, 0.0)
     ops.fix(1, 1, 1, 1)
     ops.fix(2, 0, 0, 1)
-    script["define_friction"](ops, 1, device.set_name, device.number)
+    script["define_friction"](ops, 1, name, 1)
     for material in (1, 2):
         ops.uniaxialMaterial("Elastic", material, 1e6)
-    stiffness = script["DEVICES"][device.set_name, device.number][2]
+    stiffness = script["DEVICES"][name, 1][2]
     ops.element("flatSliderBearing", 1, 1, 2, 1, stiffness, "-P", 1, "-Mz", 2, "-orient", 0, 1, 0, -1, 0, 0)
     ops.mass(2, 1e-9, 1e-9, 1e-9)
     steps, stroke = 300, 30.0

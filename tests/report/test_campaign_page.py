@@ -150,7 +150,7 @@ def test_tables_page(tmp_path: Path) -> None:
 def test_many_devices_do_not_hide_the_band(monkeypatch: pytest.MonkeyPatch, n: int, crowded: bool) -> None:
     """Above a number their dots get a lane beside the band, in one stroke."""
     drawn = []
-    monkeypatch.setattr(figures, "svg", drawn.append)
+    monkeypatch.setattr(figures, "drawn", lambda figure, *_: drawn.append(figure))
     devices = tuple((f"d{k}", (70.0 + k, 71.0 + k, 72.0 + k)) for k in range(n))
     figures.bands([sets.SetBand("a", n, "kN", (60.0, 80.0, 100.0), {}, devices)], "sliding force (kN)")
     marks = drawn[0].axes[0].marks

@@ -77,7 +77,7 @@ def test_a_small_device_is_shown_in_newton(copy_of: Path) -> None:
     assert unit.of("kN/mm") == ("N/mm", 1000.0)
     assert unit.of("s/mm") == ("s/mm", 1.0)
     assert force_unit(device.record).name == "kN"
-    shown = replace(device, record=record)
+    shown = device._replace(record=record)
     told = content(shown, numbers_of(shown), left_over(shown))
     assert {card["unit"] for card in told["cards"]} == {"N/mm", "N", "", "s/mm"}
     assert told["force_unit"] == "N"
@@ -88,7 +88,7 @@ def test_what_the_data_do_not_determine_is_no_number(fitted: Path) -> None:
     device = read_device(fitted)
     remark = RemarkRecord(parameter="K", kind=Remark.UNDETERMINED, q50=3678.0, prior_q05=5.0, prior_q95=60.0)
     record = replace(device.record, remarks=(remark,))
-    changed = replace(device, record=record)
+    changed = device._replace(record=record)
     told = content(changed, numbers_of(changed), left_over(changed))
     assert told["remarks"][0].startswith("K is not determined by this recording: it may lie almost anywhere")
     assert next(card for card in told["cards"] if card["name"] == "K")["value"] == "not determined"
@@ -177,7 +177,7 @@ def test_nothing_stands_beyond_the_edge_of_a_picture(copy_of: Path) -> None:
     numbers = numbers_of(device)
     for factor in (1.0, 0.001):  # of Fy: a small device is drawn in newton, whose numbers are long
         rows = tuple(replace(row, q50=row.q50 * factor) for row in device.record.parameters)
-        shown = replace(device, record=replace(device.record, parameters=rows))
+        shown = device._replace(record=replace(device.record, parameters=rows))
         found = [one for picture in pictures_in(draw_page(shown, numbers)) for one in words_in(picture)]
         assert len(found) > 200
         beyond = [
@@ -202,7 +202,7 @@ def test_page_is_small(page: Page) -> None:
 
 
 def test_folder_without_a_fit(tmp_path: Path) -> None:
-    with pytest.raises(ShjError, match="no finished fit"):
+    with pytest.raises(ShjError, match=r"holds no fit\.json"):
         render_device(tmp_path)
 
 

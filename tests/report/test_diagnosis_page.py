@@ -178,7 +178,7 @@ def test_profile_signs_along_the_motion() -> None:
     p = signed_means(c, 2.0 * q, {"position_mm": 5})
     assert p.push_kN == pytest.approx(2.0)
     assert p.pull_kN == pytest.approx(2.0)
-    none = signed_means(replace(c, used=q > 0), 2.0 * q, {"position_mm": 5})
+    none = signed_means(c._replace(used=q > 0), 2.0 * q, {"position_mm": 5})
     assert np.isnan(none.pull_kN).all()
 
 

@@ -1,7 +1,6 @@
 """Numbers behind the figures against hand calculation."""
 
 import re
-from dataclasses import replace
 from types import SimpleNamespace
 from urllib.parse import unquote
 
@@ -168,7 +167,7 @@ def test_freed_parameters_are_answered_in_words() -> None:
 @pytest.mark.parametrize("n_runs", [1, 3, 6])
 def test_the_key_of_the_energy_picture_has_room_for_every_run(elastoplastic: RunData, n_runs: int) -> None:
     energy = numbers.cycles_of(elastoplastic, elastoplastic.force_kN)
-    picture = unquote(loops.energy([replace(energy, run=number) for number in range(1, n_runs + 1)]))
+    picture = unquote(loops.energy([energy._replace(run=number) for number in range(1, n_runs + 1)]))
     width, height = map(float, re.findall(r'<svg width="(\d+)" height="(\d+)"', picture)[0])
     assert height > 0.4 * width
     assert picture.count(": model, 90 %") == n_runs

@@ -73,7 +73,7 @@ def test_the_page_repeats_the_fit_and_the_diagnosis_and_tests_nothing_itself(tmp
     """What the fit found from cycle to cycle and what the diagnosis says of the same files; of others nothing."""
     device = toy(np.random.default_rng(3), phi=0.0)
     record = replace(device.record, cycles=CyclesRecord(widening={"K": 1.0, "Fy": 2.1}))
-    device = replace(device, record=record)
+    device = device._replace(record=record)
     for digest, said in (("", "named"), ("b", "")):
         inputs = (Input(name="run", sha256=digest),) * len(record.inputs)
         (tmp_path / below).mkdir(exist_ok=True)

@@ -1,7 +1,6 @@
 """The numbers that the page's script draws: bounded, thinned honestly, and the samples themselves."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +54,7 @@ def test_samples_that_are_no_numbers_are_left_out(well_specified: DeviceData) ->
     force = first.force_kN.copy()
     force[5] = np.nan
     numbers = numbers_of(well_specified)
-    broken = replace(well_specified, runs=(replace(first, force_kN=force), *well_specified.runs[1:]))
+    broken = well_specified._replace(runs=(first._replace(force_kN=force), *well_specified.runs[1:]))
     made = viewer.device_viewer(broken, numbers)
     assert len(made["runs"][0]["t"]) == first.time_s.size - 1
     json.dumps(made, allow_nan=False)

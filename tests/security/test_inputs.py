@@ -37,7 +37,7 @@ from shj_bayes.errors import (
 )
 from shj_bayes.margins.history import from_file
 from shj_bayes.model.priors import read_priors
-from shj_bayes.planning.protocol import stated_limits
+from shj_bayes.planning.protocol import read_rig
 from shj_bayes.recording import limits, rows
 from shj_bayes.recording.formats import binary, text
 from shj_bayes.recording.reader import read, read_table
@@ -156,7 +156,7 @@ def test_pipes_devices_and_folders_are_refused_at_once(tmp_path, name, kind):
     else:
         path.mkdir()
     readers = {"campaign.toml": (read_manifest, CampaignError), "own.toml": (read_priors, PriorError)}
-    readers |= {"rig.toml": (lambda rig: stated_limits(rig, {}), PlanError), "drift.csv": (from_file, RecordingError)}
+    readers |= {"rig.toml": (read_rig, PlanError), "drift.csv": (from_file, RecordingError)}
     reader, error = readers.get(name, (read, RecordingError))
     with pytest.raises(error, match=r"not an ordinary file|is a folder"):
         reader(path)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from shj_bayes.population.hierarchy import fit_quantity
-from shj_bayes.population.quantities import QuantityLikelihood, Rounded, population_prior, quantity
+from shj_bayes.population.quantities import QuantityLikelihood, population_prior, quantity, rounded, to_step
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 FY = quantity("Fy")
@@ -15,7 +15,7 @@ LEVELS = (0.05, 0.5, 0.95)
 def rounded_pairs():
     """The published pairs: 10 sets of two forces printed to 5 kN, six of them identical to the digit."""
     pairs = ((95, 95), (90, 90), (50, 75), (90, 90), (90, 50), (65, 60), (55, 55), (85, 22), (72, 72), (75, 75))
-    return [[Rounded.to_step(v, 5.0).of("Fy") for v in pair] for pair in pairs]
+    return [[rounded("Fy", to_step(v, 5.0)) for v in pair] for pair in pairs]
 
 
 def known_devices():

@@ -182,11 +182,11 @@ def test_a_page_made_again_needs_no_new_draws(campaign, monkeypatch):
     [
         ("", "schema is None"),
         ("not = [toml", "not valid TOML"),
-        (HEAD, "no [[set]] table"),
+        (HEAD, "it needs [[set]] tables"),
         (HEAD + "[[set]]\nname = 3\n", "name = 3"),
-        (HEAD + '[[set]]\nname = "a"\n', "has no [[set.device]]"),
-        (HEAD + '[[set]]\nname = "a"\n[[set.device]]\nname = "d"\n', "recordings = "),
-        (HEAD + 'speed = 3\n[[set]]\nname = "a"\n', "option 'speed'"),
+        (HEAD + '[[set]]\nname = "a"\n', "it needs [[set.device]] tables"),
+        (HEAD + '[[set]]\nname = "a"\n[[set.device]]\nname = "d"\n', "lacks recordings = "),
+        (HEAD + 'speed = 3\n[[set]]\nname = "a"\n', "key 'speed'"),
         (HEAD.replace("60", '"many"') + '[[set]]\nname = "a"\n', "needs a whole number"),
         (HEAD + '[[set]]\nname = "a"\n' + '[[set.device]]\nname = "d"\nrecordings = ["x.csv"]\n' * 2, "stands twice"),
     ],
@@ -231,7 +231,7 @@ def test_options_of_a_manifest_are_checked_with_their_line(tmp_path, option, wor
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('simulated = "yes"\n', "m.toml, line 2: the manifest has simulated = 'yes'; allowed are true and false"),
+        ('simulated = "yes"\n', "m.toml, line 2: the manifest has simulated = 'yes'; it needs true or false"),
         ("simulated = 1\n", "line 2: the manifest has simulated = 1"),
         ("name = 3\n", "line 2: the manifest has name = 3; it needs a text"),
         ('name = """\nsimulated = 1\n"""\nsimulated = 1\n', "line 5: the manifest has simulated = 1"),
@@ -323,7 +323,7 @@ def test_runs_stand_with_a_device_or_among_the_options(tmp_path):
 @pytest.mark.parametrize(
     ("key", "words"),
     [
-        ('units = "s,in,kip"', "put it into a table [set.device.options]"),
+        ('units = "s,in,kip"', "put it into a table [defaults], [set.options] or [set.device.options]"),
         ('coating = "zinc"', "put it directly below [[set]]"),
         ("recording = 3", "did you mean 'recordings'?"),
     ],
@@ -398,11 +398,11 @@ def test_how_to_diagnose_stands_in_the_manifest_for_all_for_a_set_or_for_a_devic
     ("before", "below", "words"),
     [
         ('diagnose = "quik"\n', "", "m.toml, line 2: the manifest has diagnose = 'quik'"),
-        ('diagnose = "quik"\n', "", 'allowed are "quick", "full", "off"; did you mean \'quick\'?'),
+        ('diagnose = "quik"\n', "", 'it needs "quick" or "full" or "off"; did you mean \'quick\'?'),
         ("diagnose = false\n", "", "m.toml, line 2: the manifest has diagnose = False"),
         ("", "diagnose = 1\n", "m.toml, line 7: set 'a', device 'd' has diagnose = 1"),
         ('diagnos = "off"\n', "", "did you mean 'diagnose'?"),
-        ('[defaults]\ndiagnose = "off"\n', "", "line 3: the manifest has the option 'diagnose', which is no option"),
+        ('[defaults]\ndiagnose = "off"\n', "", "line 3: the manifest has the key 'diagnose', which has no effect"),
         ("", '[set.device.options]\ndiagnose = "off"\n', "put it at the top of the manifest, below [[set]] or below"),
     ],
 )  # fmt: skip

@@ -90,7 +90,7 @@ def test_only_what_kills_its_process_twice_has_no_result(again, tmp_path):
     flag, die = f"__import__('pathlib').Path({str(tmp_path / 'flag')!r})", "__import__('os')._exit(3)"
     deadly = die if again else f"7 if {flag}.exists() else ({flag}.touch(), {die})"
     items = ["1 + 1", deadly, "2 + 2", "3 + 3", "4 + 4"]
-    found = {item: (result, reason) for item, result, reason in pool.results_here(2, eval, items)}
+    found = {item: (result, reason) for item, result, reason in pool.results(2, eval, items)}
     assert [found[item][0] for item in items] == [2, None if again else 7, 4, 6, 8]
     assert [item for item in items if found[item][1]] == [deadly] * again
 

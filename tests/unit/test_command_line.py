@@ -283,7 +283,7 @@ def test_a_folder_of_another_device_is_refused_unless_forced(recordings, tmp_pat
 
 def test_long_steps_are_told_before_they_begin_and_to_a_terminal_alone(recordings, capsys, monkeypatch):
     told = []
-    device._usable(recordings, FitOptions(), told.append)
+    device.read_device(recordings, FitOptions(), told.append)
     assert told == [f"reading {path.name}" for path in recordings]
     device.step_told("drawing the page")
     assert capsys.readouterr().err == ""

@@ -178,10 +178,10 @@ def test_toml_snippets_parse_and_are_accepted(page: Path, tmp_path: Path) -> Non
 
 
 def test_manifest_page_lists_every_option() -> None:
-    from shj_bayes.app.manifest import OPTION_KINDS  # noqa: PLC0415
+    from shj_bayes.app.manifest import OPTIONS  # noqa: PLC0415
 
     rows = set(re.findall(r"^\| `(\w+)` \|", text(TOP / "docs/manifest.md"), re.MULTILINE))
-    assert rows == set(OPTION_KINDS)
+    assert rows == set(OPTIONS)
 
 
 def test_recordings_page_lists_every_code() -> None:

@@ -136,7 +136,7 @@ def test_a_first_look_writes_no_fit(recordings: list[Path], tmp_path: Path) -> N
     look = shj_bayes.diagnose(recordings, tmp_path, quick=True)
     assert look.effects == ("slack",)
     assert not FILES & {path.name for path in tmp_path.iterdir()}
-    with pytest.raises(InferenceError, match="holds no finished fit"):
+    with pytest.raises(InferenceError, match=r"holds no fit\.json"):
         _ = look.fit
 
 

@@ -5,7 +5,6 @@ that ends. A file that a killed process left is taken over. Where a file system 
 """
 
 import errno
-import functools
 import glob
 import hashlib
 import inspect
@@ -22,6 +21,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import datetime
+from functools import partial, wraps
 from io import BufferedReader
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -35,11 +35,10 @@ _MAY_STEER = re.compile(rb"\\[bfru]|[\x7f-\xff]")  # in JSON; without these, no 
 FOLDER_DIGITS = 12  # of a digest: a hundred thousand names of one slug share one with a chance of 2e-5
 MAX_ARRAYS = 2 * 1024**3  # draws of a hundred thousand sets
 MAX_SEARCHED = 5_000_000  # characters of TOML in which the line of a value is looked for: about a second
-_TOML = re.compile(  # texts of several lines, texts, remarks, signs, and anything between them
-    r'"""(?:\\.|[^\\])*?"{3,5}|\'{3}.*?\'{3,5}|"(?:\\.|[^"\\])*"|\'[^\']*\'|#[^\n]*|[\[\]{}=,.\n]|[^\s\[\]{}=,.#"\']+',
-    re.DOTALL,
+_TOML = re.compile(  # texts of several lines, heads of tables, keys, and the ends of lines
+    r'"""(?:\\.|[^\\])*?"{3,5}|\'{3}.*?\'{3,5}|^[ \t]*\[(?P<list>\[?)(?P<table>[^\]\n]+)|^(?P<key>[^=#\[\n]+)=|\n',
+    re.DOTALL | re.MULTILINE,
 )
-_DEPTH = {"[": 1, "{": 1, "]": -1, "}": -1}
 
 
 @contextmanager
@@ -252,41 +251,25 @@ def toml_line(path: Path, keys: Sequence[str | int]) -> int | None:
     None where there is no such key, or the file is long. What stands within braces or brackets begins where these do.
     """
     text = path.read_text(encoding="utf-8-sig")
-    lines = _toml_lines(text) if len(text) <= MAX_SEARCHED else {}
-    found = (lines.get(tuple(keys[:n])) for n in range(len(keys), 0, -1))
-    return next((line for line in found if line), None)
-
-
-def _toml_lines(text: str) -> dict[tuple[str | int, ...], int]:
-    """Line on which each ``key = value`` of a valid TOML text begins, by the way to it."""
     lines: dict[tuple[str | int, ...], int] = {}
     last: dict[tuple[str | int, ...], int] = {}  # place of the last table of each list of tables
     here: tuple[str | int, ...] = ()
-    words: list[str] = []  # of a header, or of a key and its =
-    line, begin, depth = 1, 1, 0  # depth of brackets and braces of a value
-    for match in _TOML.finditer(f"{text}\n"):
-        token = match[0]
-        line += token.count("\n")
-        if "=" in words:
-            depth += _DEPTH.get(token, 0)
-        elif token != "\n" and token[0] != "#":
-            begin = begin if words else line
-            words.append(token)
-        if token != "\n" or depth or not words:
-            continue
-        names = [word.strip("\"'") for word in words if word not in "[]=."]
-        if words[0] != "[":
+    line = 1
+    for match in _TOML.finditer(text) if len(text) <= MAX_SEARCHED else ():
+        names = [name.strip().strip("\"'") for name in (match["table"] or match["key"] or "").split(".")]
+        if match["key"]:
             for n in range(1, len(names) + 1):
-                lines.setdefault((*here, *names[:n]), begin)
-        else:
+                lines.setdefault((*here, *names[:n]), line)
+        elif match["table"]:
             here = ()
             for n, name in enumerate(names, start=1):
                 here += (name,)
-                if n == len(names) and words[1] == "[":
+                if n == len(names) and match["list"]:
                     last[here] = last.get(here, -1) + 1
                 here += (last[here],) if here in last else ()
-        words = []
-    return lines
+        line += match[0].count("\n")
+    found = (lines.get(tuple(keys[:n])) for n in range(len(keys), 0, -1))
+    return next((line for line in found if line), None)
 
 
 def file_digest(path: Path) -> str:
@@ -337,7 +320,7 @@ def alone_in(parameter: str, kept: str = "") -> Callable[[Callable[P, T]], Calla
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         signature = inspect.signature(function)
 
-        @functools.wraps(function)
+        @wraps(function)
         def call(*args: P.args, **kwargs: P.kwargs) -> T:
             folder = Path(signature.bind(*args, **kwargs).arguments[parameter])
             with alone(folder, kept):
@@ -368,7 +351,11 @@ def alone(folder: Path, kept: str = "") -> Iterator[None]:
         yield
     finally:
         if handle is not None:
-            _release(handle, folder / LOCK)
+            # The file is taken away while it is locked, where the system allows that.
+            steps = (partial(os.unlink, folder / LOCK), partial(os.close, handle))
+            for step in steps if sys.platform != "win32" else reversed(steps):
+                with suppress(OSError):
+                    step()
         with suppress(OSError):
             for place in made:
                 place.rmdir()
@@ -396,9 +383,16 @@ def _locked(path: Path) -> int | None:
                 os.close(handle)
                 path.unlink(missing_ok=True)
                 return None
-            words = f"{path.parent.name} {_holder(handle)}; wait for it, or choose another folder with -o"
+            by = "another process"
+            with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):  # it has not written that yet
+                os.lseek(handle, 0, os.SEEK_SET)
+                who = json.loads(os.read(handle, _WRITTEN))
+                process, host, since = (shown(who[key]).strip("'") for key in ("process", "host", "since"))
+                by = f"process {process} on {host}, since {since}"
             os.close(handle)
-            raise ShjError(words) from None
+            raise ShjError(
+                f"{path.parent.name} is being written into by {by}; wait for it, or choose another folder with -o"
+            ) from None
         if there:
             who = {"process": os.getpid(), "host": socket.gethostname()}
             who["since"] = datetime.now().astimezone().isoformat(timespec="seconds")
@@ -406,28 +400,6 @@ def _locked(path: Path) -> int | None:
             os.write(handle, json.dumps(who).encode()[:_WRITTEN])
             return handle
         os.close(handle)
-
-
-def _holder(handle: int) -> str:
-    """Say who writes into a folder, as far as that stands in its file."""
-    try:
-        os.lseek(handle, 0, os.SEEK_SET)
-        who = json.loads(os.read(handle, _WRITTEN))
-        process, host, since = (shown(who[key]).strip("'") for key in ("process", "host", "since"))
-        return f"is being written into by process {process} on {host}, since {since}"
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):  # it has not written that yet
-        return "is being written into by another process"
-
-
-def _release(handle: int, path: Path) -> None:
-    """Take the file away while it is locked, where the system allows that, then unlock it."""
-    with suppress(OSError):
-        if sys.platform != "win32":
-            path.unlink()
-    os.close(handle)
-    with suppress(OSError):
-        if sys.platform == "win32":
-            path.unlink()
 
 
 if sys.platform == "win32":

@@ -104,10 +104,7 @@ def _stampless() -> Iterator[None]:
 
 @contextmanager
 def without(*names: str) -> Iterator[None]:
-    """Import a library as if others, slow to import and used only where they are there, were not installed.
-
-    Those that are imported already stay.
-    """
+    """Import a library as if others, slow to import and used only where they are there, were not installed."""
     hidden = [name for name in names if name not in sys.modules]
     nowhere: Any = None  # what makes an import say that there is no such module
     sys.modules.update(dict.fromkeys(hidden, nowhere))
@@ -119,10 +116,7 @@ def without(*names: str) -> Iterator[None]:
 
 
 def arviz() -> Any:
-    """ArviZ, before and after its rewrite; without the announcement of version 0.23, and without numba.
-
-    It takes longer to import than all else.
-    """
+    """ArviZ, before and after its rewrite; without the announcement of version 0.23, and without numba."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=r"\s*ArviZ is undergoing a major refactor", category=FutureWarning)
         library: Any = importlib.import_module("arviz")

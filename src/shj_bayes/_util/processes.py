@@ -8,9 +8,8 @@ HDF5 files of results may come from elsewhere: they are read in a process of the
 damaged one can end the process that opens it, take all memory or never come back. One process goes through all files
 that this one asks for.
 
-A task whose process died is tried once more here; a cluster's scheduler hands it to another worker. Whoever can reach a
-dask scheduler can run code on its workers: the address is trusted as the command line is. dask is the optional extra
-``dask``.
+Whoever can reach a dask scheduler can run code on its workers: the address is trusted as the command line is. dask is
+the optional extra ``dask``.
 """
 
 import _thread
@@ -26,15 +25,13 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import cache
-from itertools import islice
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
-from uuid import uuid4
 
 import shj_bayes
 from shj_bayes._util.files import read_json
@@ -43,32 +40,30 @@ from shj_bayes.errors import CampaignError, plain_text, shown, words_of
 PYTHON = (sys.executable, "-P")  # the beginning of a command that starts this Python again
 _SAFE, _WARNINGS = "PYTHONSAFEPATH", "PYTHONWARNINGS"
 _NO_LEAKS = "ignore::UserWarning:multiprocessing.resource_tracker"
-_KILLED = 1  # exit status of a process whose parent is gone; nobody reads it
 P = ParamSpec("P")
 T = TypeVar("T")
-SCHEMES = ("tcp", "tls", "ws", "wss")
 PATIENCE_S = 10  # for the scheduler to answer
-IN_FLIGHT = 10_000  # tasks that the scheduler holds at a time: more than any cluster has processors
+IN_FLIGHT = 2_000  # tasks that the scheduler holds at a time
 _ONE = threading.Lock()  # a worker may have many threads; fits and pictures are made one at a time in a process
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
 class Workers(ProcessPoolExecutor):
-    """Pool of so many spawned processes."""
+    """Pool of so many spawned processes; an error within its ``with`` ends them."""
 
     def __init__(self, n: int) -> None:
-        with _safe_path(), _deaf():  # the process that tracks semaphores starts here
+        with _starting():  # the process that tracks semaphores starts here
             super().__init__(n, mp_context=get_context("spawn"), initializer=_begin)
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
         """Hand over a call; processes start here, when there is something for them to do."""
-        with _safe_path(), _deaf():
+        with _starting():
             return super().submit(fn, *args, **kwargs)
 
-    def stop(self) -> None:
-        """End the processes, whatever they are doing: what they write is whole or not there at all."""
-        for process in list((self._processes or {}).values()):
+    def __exit__(self, kind: object, *_: object) -> None:
+        """End the processes, at once where there was an error: what they write is whole or not there at all."""
+        for process in list((self._processes or {}).values()) if kind else ():
             process.terminate()
         self.shutdown(wait=True, cancel_futures=True)
 
@@ -79,7 +74,7 @@ class Companion:
     def __init__(self, prepare: Callable[[], object]) -> None:
         spawn = get_context("spawn")
         self._here, there = spawn.Pipe()
-        with _safe_path(), _deaf():
+        with _starting():
             self._process = spawn.Process(target=_answer, args=(there, prepare))
             self._process.start()
         there.close()
@@ -118,16 +113,13 @@ def _answer(there: Any, prepare: Callable[[], object]) -> None:
     _begin()
     prepare()
 
-    def tell(share: float | None, words: str) -> None:
-        there.send(("told", (share, words)))
-
     while True:
         try:
             function, args = there.recv()
         except EOFError:
             return
         try:
-            answer = "done", function(*args, tell)
+            answer = "done", function(*args, lambda share, words: there.send(("told", (share, words))))
         except Exception as error:  # whatever it is, who asked is told
             answer = "failed", words_of(error)
         there.send(answer)
@@ -135,7 +127,9 @@ def _answer(there: Any, prepare: Callable[[], object]) -> None:
 
 def _begin() -> None:
     """Begin a worker: it ends with its parent, and warnings of libraries stay off the terminal as in the command."""
-    end_with_parent()
+    parent: Any = parent_process()
+    if parent is not None:
+        _when(parent.join)
     quiet_libraries()
 
 
@@ -145,19 +139,9 @@ def quiet_libraries() -> None:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 
-def end_with_parent() -> None:
-    """End this process as soon as the one that started it by `multiprocessing` is gone, whatever it is doing."""
-    parent: Any = parent_process()
-    if parent is not None:
-        _when(parent.join)
-
-
 @contextmanager
 def tether() -> Iterator[int]:
-    """Give a child a standard input (``stdin=`` of `subprocess`) that ends when this process does.
-
-    The child calls `end_with_input`.
-    """
+    """Give a child a standard input (``stdin=`` of `subprocess`) that ends when this process does."""
     reading, writing = os.pipe()
     try:
         yield reading
@@ -196,32 +180,22 @@ def _when(gone: Callable[[], object]) -> None:
 
     def watch() -> None:
         gone()
-        os._exit(_KILLED)
+        os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager
-def _deaf() -> Iterator[None]:
-    """Start processes that do not hear Ctrl-C: the terminal sends it to all of them, and the parent ends them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+def _starting() -> Iterator[None]:
+    """Have processes that are started meanwhile leave the current folder out of their path and not hear Ctrl-C.
 
-
-@contextmanager
-def _safe_path() -> Iterator[None]:
-    """Let processes that are started meanwhile leave the current folder out of their path.
-
-    The one that tracks semaphores keeps to itself that it takes away those of a process that was stopped. Only
-    meanwhile: what a user's script starts by itself may need the folder.
+    The terminal sends that to all of them, and the parent ends them. The one that tracks semaphores keeps to itself
+    that it takes away those of a process that was stopped. Only meanwhile: what a user's script starts by itself may
+    need the folder.
     """
+    in_main = threading.current_thread() is threading.main_thread()
     before = {name: os.environ.get(name) for name in (_SAFE, _WARNINGS)}
+    heard = signal.signal(signal.SIGINT, signal.SIG_IGN) if in_main else None
     os.environ[_SAFE] = "1"
     os.environ[_WARNINGS] = ",".join(filter(None, (before[_WARNINGS], _NO_LEAKS)))
     try:
@@ -232,6 +206,8 @@ def _safe_path() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+        if in_main:
+            signal.signal(signal.SIGINT, heard)
 
 
 AGAIN_S = 0.02  # time for the place that drops exceptions to be left
@@ -359,152 +335,108 @@ def _read(path: str, group: str) -> None:
             dict(part.attrs)
 
 
-def results_here(
-    n_workers: int, function: Callable[[Item], Result], items: Iterable[Item]
+def results(
+    n_workers: int,
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    *,
+    cluster: str = "",
+    folder: Path = Path(),
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Iterator[tuple[Item, Result | None, str]]:
-    """Items, each with its result or None and why there is none, as processes of this machine finish them.
+    """Items, each with its result or None and why there is none, as processes of this machine or a cluster finish them.
 
-    What was under way when a process died is tried once more, one at a time, so that none is blamed for another.
+    What was under way when a process of this machine died is tried once more, one at a time, so that none is blamed for
+    another; a cluster's scheduler hands it to another worker. `cluster` is the address of a scheduler
+    (``tcp://10.0.0.5:8786``), or the file that it wrote with ``--scheduler-file`` (``x.json``); all its workers must
+    see `folder`; function and items travel to them. `CampaignError` if dask is not installed, the cluster does not
+    answer, or its workers cannot do this work.
     """
-    waiting = deque(enumerate(items))
-    suspects: set[int] = set()
+    waiting, suspects = deque(enumerate(items)), set[int]()
+    at_once = IN_FLIGHT if cluster else 2 * n_workers
     while waiting:
-        pool = Workers(min(n_workers, len(waiting)))
-        running: dict[Future[Result], tuple[int, Item]] = {}
-        broken = False  # a process died, and with it the pool
-        try:
+        broken = False  # a process of this machine died, and with it the pool
+        with _cluster(cluster, folder, tell) if cluster else Workers(min(n_workers, len(waiting))) as pool:
+            running: dict[Future[Result], tuple[int, Item]] = {}
             while running or (waiting and not broken):
-                while waiting and not broken and len(running) < (1 if suspects else 2 * n_workers):
+                while waiting and not broken and len(running) < (1 if suspects else at_once):
                     try:
-                        running[pool.submit(function, waiting[0][1])] = waiting[0]
+                        running[pool.submit(_alone, function, waiting[0][1])] = waiting[0]
                         waiting.popleft()
                     except BrokenProcessPool:
                         broken = True
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     number, item = running.pop(future)
-                    died = isinstance(future.exception(), BrokenProcessPool)
+                    if future.cancelled():
+                        raise CampaignError(
+                            f"--dask {cluster}: the scheduler stopped answering; the same command again keeps what is "
+                            "finished, and goes on"
+                        )
+                    error = future.exception()
+                    died = isinstance(error, BrokenProcessPool)
                     broken |= died
                     if died and number not in suspects:
                         suspects.add(number)
                         waiting.appendleft((number, item))
                         continue
                     suspects.discard(number)
-                    reason = "the process that fitted it died twice (memory, or killed)" if died else ""
-                    yield item, None if died else future.result(), reason
-        except BaseException:
-            pool.stop()
-            raise
-        pool.shutdown(wait=True, cancel_futures=True)
+                    reason = f"it could not be run: {type(error).__name__}: {error}" if error else ""
+                    reason = "the process that fitted it died twice (memory, or killed)" if died else reason
+                    yield item, None if error else future.result(), plain_text(reason)
 
 
-def results_on(
-    address: str,
-    folder: Path,
-    function: Callable[[Item], Result],
-    items: Iterable[Item],
-    *,
-    tell: Callable[[str], None] = lambda _: None,
-) -> Iterator[tuple[Item, Result | None, str]]:
-    """Items, each with its result or None and why there is none, as a cluster finishes them.
-
-    `address` is that of the scheduler (``tcp://10.0.0.5:8786``), or the file that it wrote with ``--scheduler-file``
-    (``x.json``); all workers must see `folder`; function and items travel to them; `tell` gets a few words on the
-    cluster with each result. `CampaignError` if dask is not installed, the cluster does not answer, or its workers
-    cannot do this work.
-    """
-    library = _library()
-    with _connect(library, address) as client:
-        _check_workers(client, address, folder)
-        run, waiting = uuid4().hex[:8], enumerate(items)
-        running: dict[Any, Item] = {}  # futures; the cluster drops them when this process ends or is stopped
-        done = library.as_completed(loop=client.loop)
-        while True:
-            for number, item in islice(waiting, IN_FLIGHT - len(running)):
-                future = client.submit(_alone, function, item, key=f"shj-bayes-{run}-{number}", pure=False)
-                running[future] = item
-                done.add(future)
-            if not running:
-                return
-            try:
-                n_workers = len(client.nthreads())
-                tell(f"{n_workers} workers" if n_workers else "no worker has joined yet")
-                future = next(done)
-                result, reason = _result_of(library, future)
-            except (CancelledError, OSError) as error:
-                raise CampaignError(
-                    f"--dask {address}: the scheduler stopped answering ({type(error).__name__}); the same command "
-                    "again keeps what is finished, and goes on"
-                ) from error
-            yield running.pop(future), result, reason
+def _alone(function: Callable[[Item], Result], item: Item) -> Result:
+    """Call a function, one call at a time in this process."""
+    with _ONE:
+        return function(item)
 
 
-def _library() -> Any:
-    """Import dask's distributed, which is optional and slow to import; `CampaignError` where it is not installed."""
+@contextmanager
+def _cluster(address: str, folder: Path, tell: Callable[[str], None]) -> Iterator[Executor]:
+    """Connect to a scheduler; tasks that are not done are dropped in the end."""
+    import asyncio  # noqa: PLC0415
+
     try:
-        import distributed  # noqa: PLC0415
+        import distributed  # noqa: PLC0415  (optional, and slow to import)
     except ImportError as error:
         raise CampaignError(
             "--dask needs the package distributed, which is not installed; install it here and on the workers with "
             "pip install 'shj-bayes[dask]'"
         ) from error
-    return distributed
-
-
-def _connect(library: Any, address: str) -> Any:
-    """Connect to the scheduler; `CampaignError` where that fails, before there is a client that must be ended."""
-    advice = (
-        "it needs the address that `dask scheduler` prints, such as tcp://10.0.0.5:8786, or its --scheduler-file; "
-        "tls:// needs the certificates in dask's own settings"
-    )
-    where = _address_in(Path(address), advice) if address.endswith(".json") else address
-    scheme = where.partition("://")[0] if "://" in where else SCHEMES[0]
-    if scheme not in SCHEMES:
-        raise CampaignError(f"--dask {address}: {shown(scheme)} is none of {', '.join(SCHEMES)}; {advice}")
-    said: list[BaseException] = []  # what goes wrong; empty where the scheduler answered
-    asking = threading.Thread(target=_ask, args=(library, where, said), daemon=True)
-    asking.start()
-    asking.join(PATIENCE_S + 1)
-    if asking.is_alive() or said:
-        why = f"{type(said[0]).__name__}: {str(said[0])[:200]}" if said and str(said[0]) else "it is silent"
-        raise CampaignError(
-            f"--dask {address}: no dask scheduler answers there within {PATIENCE_S} s ({why}); {advice}"
-        )
-    return library.Client(where, timeout=PATIENCE_S, set_as_default=False, name="shj-bayes")
-
-
-def _address_in(path: Path, advice: str) -> str:
-    """Address of the scheduler that wrote a file."""
+    library: Any = distributed
     try:
-        content = read_json(path, CampaignError)
-    except CampaignError as error:
-        raise CampaignError(f"--dask {path.name}: no dask scheduler is told by it ({error}); {advice}") from error
-    found = content.get("address") if isinstance(content, dict) else None
-    if not isinstance(found, str):
-        raise CampaignError(f"--dask {path.name}: it names no address of a scheduler; {advice}")
-    return found
+        where: Any = address
+        if address.endswith(".json"):
+            content = read_json(Path(address), CampaignError)
+            where = content.get("address") if isinstance(content, dict) else None
+        if not isinstance(where, str):
+            raise CampaignError("it names no address")
 
+        async def shake_hands() -> None:  # and hang up: the library reads the answer without a deadline
+            how = library.Security().get_connection_args("client")
+            (await asyncio.wait_for(library.comm.connect(where, timeout=PATIENCE_S, **how), PATIENCE_S)).abort()
 
-def _ask(library: Any, address: str, said: list[BaseException]) -> None:
-    """Shake hands with a scheduler and hang up. The deadline is ours: the library reads the answer without one."""
-    import asyncio  # noqa: PLC0415
-
-    async def handshake() -> None:
-        how = library.Security().get_connection_args("client")
-        (await asyncio.wait_for(library.comm.connect(address, timeout=PATIENCE_S, **how), PATIENCE_S)).abort()
-
-    try:
-        asyncio.run(handshake())
+        asyncio.run(shake_hands())
     except Exception as error:  # the library, its transports and ssl raise dozens of kinds
-        said.append(error)
+        raise CampaignError(
+            f"--dask {address}: no dask scheduler answers there within {PATIENCE_S} s ({type(error).__name__}: "
+            f"{str(error)[:200]}); it needs the address that `dask scheduler` prints, such as tcp://10.0.0.5:8786, or "
+            "its --scheduler-file; tls:// needs the certificates in dask's own settings"
+        ) from error
+    with library.Client(where, timeout=PATIENCE_S, set_as_default=False, name="shj-bayes") as client:
+        if not client.nthreads():
+            tell("no worker has joined yet")
+            client.wait_for_workers(1)
+            tell("")
+        _check_workers(client, address, folder)
+        yield client.get_executor(pure=False)
 
 
 def _check_workers(client: Any, address: str, folder: Path) -> None:
     """Ask the workers that are there whether they can do the work; those that join later tell it device by device."""
     for worker, answer in client.run(_probe, str(folder), on_error="return").items():
-        if isinstance(answer, ImportError):
-            wrong = f"cannot import shj_bayes ({answer}); install shj-bayes {shj_bayes.__version__} on the workers"
-        elif isinstance(answer, BaseException):
-            wrong = f"fails ({type(answer).__name__}: {answer})"
+        if isinstance(answer, BaseException):
+            wrong = f"fails ({type(answer).__name__}: {answer}); install shj-bayes {shj_bayes.__version__} on it"
         elif answer[0] != shj_bayes.__version__:
             wrong = f"has shj-bayes {answer[0]}, this is {shj_bayes.__version__}; install the same version on all"
         elif not answer[1]:
@@ -517,19 +449,3 @@ def _check_workers(client: Any, address: str, folder: Path) -> None:
 def _probe(folder: str) -> tuple[str, bool]:
     """Give the version of this package on the worker that runs this, and whether it sees a folder."""
     return shj_bayes.__version__, Path(folder).is_dir()
-
-
-def _alone(function: Callable[[Item], Result], item: Item) -> Result:
-    """Call a function, one call at a time in this process."""
-    with _ONE:
-        return function(item)
-
-
-def _result_of(library: Any, future: Any) -> tuple[Any, str]:
-    """Take the result of a finished task, or say why it has none."""
-    error = future.exception() if future.status == "error" else None
-    if isinstance(error, library.KilledWorker):
-        return None, f"{error.allowed_failures + 1} workers died while they fitted it (memory, or killed)"
-    if error is not None:
-        return None, plain_text(f"the cluster could not run it: {type(error).__name__}: {error}")
-    return future.result(), ""

@@ -8,7 +8,7 @@ take it. Population, margins and pages are made in the end.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from tqdm import tqdm
 
 from shj_bayes._util.files import alone_in, make_writable, shipped
-from shj_bayes._util.processes import results_here, results_on
+from shj_bayes._util.processes import results
 from shj_bayes.app.manifest import Device, Manifest
 from shj_bayes.app.resume import MARGINS, PAGE, POPULATION, CommandResult, campaign_inputs, kept_result
 from shj_bayes.errors import CampaignError, ShjError, did_you_mean, shown, words_of
@@ -94,23 +94,32 @@ def run_campaign(
         devices = tuple(replace(device, diagnose=diagnose) for device in devices)
     n_workers = workers or os.cpu_count() or 1
     run = partial(_all_done, folder=folder, workers=n_workers, cluster=cluster, progress=progress)
-    outcomes, together, enter = _together(run(devices, "fits"), folder)
-    more = {o.device.folder: o for o in run(_with_sets(outcomes, enter), "with what the set has")}
-    outcomes = [_told_with_set(o, more.get(f"{o.device.folder}/{WITH_SET}")) for o in outcomes]
+    outcomes = run(devices, "fits")
+    said = _together(outcomes, folder)
+    further = []  # devices whose own fit lacks what their set has, as they are to be fitted with it
+    for i, o in enumerate(outcomes):
+        if o.device.folder in said["unread"]:
+            outcomes[i] = replace(o, diagnosis=FAILED, diagnosis_reason=said["unread"][o.device.folder])
+        elif o.device.folder in said["enter"]:
+            effects = (*o.device.options.effects, *said["enter"][o.device.folder])
+            options = replace(o.device.options, effects=effects)
+            further.append(replace(o.device, options=options, diagnose="off", below=f"/{WITH_SET}"))
+    more = {o.device.folder: o for o in run(further, "with what the set has")}
+    for i, o in enumerate(outcomes):
+        if found := more.get(f"{o.device.folder}/{WITH_SET}"):
+            verdict = FAILED if found.status == FAILED else found.verdict
+            outcomes[i] = replace(o, with_set=verdict, with_set_reason=found.reason)
+    together = [from_json(SetTogether, one) for one in said["together"]]
     write(campaign_record(manifest, outcomes, together), folder)
     return outcomes
 
 
-def _together(
-    outcomes: Sequence[Outcome], folder: Path
-) -> tuple[list[Outcome], Sequence[SetTogether], Mapping[str, Sequence[str]]]:
+def _together(outcomes: Sequence[Outcome], folder: Path) -> dict[str, Any]:
     """Add up what the diagnosed devices of each set, and all of them, have in common.
 
-    Outcomes; what is common; and by device what of it enters its model.
+    ``together`` is what is common, ``enter`` by device what of it enters its model, ``unread`` why a diagnosis is not.
     """
     diagnosed = [o for o in outcomes if o.status != FAILED and o.diagnosis not in ("off", FAILED)]
-    if not diagnosed:
-        return list(outcomes), (), {}
 
     def add_up() -> dict[str, Any]:
         from shj_bayes.mismatch.sets import read_diagnosed, together  # noqa: PLC0415  (needs half of scipy)
@@ -125,83 +134,33 @@ def _together(
         groups, enter = together(devices)
         return {"together": to_json(groups), "enter": enter, "unread": failed}
 
+    if not diagnosed:
+        return {"together": (), "enter": {}, "unread": {}}
     files = [
         (o.device.set_name, digests(folder, [f"{o.device.folder}/{DIAGNOSIS}/{DiagnosisRecord.FILE}"]))
         for o in diagnosed
     ]
-    said = made(folder, "together", files, (), add_up)
-    unread = said["unread"]
-    out = [
-        replace(o, diagnosis=FAILED, diagnosis_reason=unread[o.device.folder]) if o.device.folder in unread else o
-        for o in outcomes
-    ]
-    return out, [from_json(SetTogether, one) for one in said["together"]], said["enter"]
-
-
-def _with_sets(outcomes: Sequence[Outcome], enter: Mapping[str, Sequence[str]]) -> list[Device]:
-    """Devices whose own fit lacks what their set has, as they are to be fitted with it."""
-    return [
-        replace(
-            o.device,
-            options=replace(o.device.options, effects=(*o.device.options.effects, *enter[o.device.folder])),
-            diagnose="off",
-            below=f"/{WITH_SET}",
-        )
-        for o in outcomes
-        if o.device.folder in enter
-    ]
-
-
-def _told_with_set(outcome: Outcome, more: Outcome | None) -> Outcome:
-    """Outcome of a device with that of its fit with what its set has, where there is one."""
-    if more is None:
-        return outcome
-    return replace(outcome, with_set=more.verdict if more.status != FAILED else FAILED, with_set_reason=more.reason)
+    said: dict[str, Any] = made(folder, "together", files, (), add_up)
+    return said
 
 
 def _all_done(
     devices: Sequence[Device], words: str, *, folder: Path, workers: int, cluster: str, progress: bool
 ) -> list[Outcome]:
     """Outcome of each device, in order: known already, or of a process, of this machine or of a cluster."""
+    named = {device.folder: device for device in devices}  # an outcome speaks of the device as the manifest does
     outcomes = {device.folder: outcome for device in devices if (outcome := _kept(device, folder))}
     waiting = [device for device in devices if device.folder not in outcomes]
+    there = folder.absolute() if cluster else folder
+    sent = map(_with_whole_paths, waiting) if cluster else waiting
     quiet = None if progress and devices else True
     with tqdm(total=len(devices), initial=len(outcomes), unit="device", desc=words, disable=quiet) as bar:
-        if not (cluster and waiting):
-            coming = results_here(workers, partial(fit_one, folder=folder), waiting)
-        else:
-            there, sent = folder.absolute(), map(_with_whole_paths, waiting)
-            do = partial(fit_one, folder=there)
-            coming = results_on(cluster, there, do, sent, tell=bar.set_postfix_str)
-        named = {device.folder: device for device in devices}  # an outcome speaks of the device as the manifest does
-        for device, outcome, reason in coming:
+        do, tell = partial(fit_one, folder=there), bar.set_postfix_str
+        for device, outcome, reason in results(workers, do, sent, cluster=cluster, folder=there, tell=tell):
             mine = named[device.folder]
             outcomes[device.folder] = replace(outcome, device=mine) if outcome else Outcome(mine, FAILED, reason)
             bar.update()
     return [outcomes[device.folder] for device in devices]
-
-
-def _kept(device: Device, folder: Path) -> Outcome | None:
-    """Outcome of a device that was fitted and diagnosed earlier and has not changed: no process is started for it."""
-    place = folder / device.folder
-    result = kept_result(device.recordings, place, asdict(device.options), device.name)
-    if result is None:
-        return None
-    known = "off" if device.diagnose == "off" else _kept_diagnosis(device, place, result.record.key)
-    return None if known is None else replace(_outcome(device, result), diagnosis=known)
-
-
-def _kept_diagnosis(device: Device, place: Path, key: str) -> str | None:
-    """Verdict of a diagnosis that was made earlier of the same recordings with the same options; None without one.
-
-    A full one does where a quick one is asked for.
-    """
-    folder = place / DIAGNOSIS
-    record = find(DiagnosisRecord, folder)
-    if record is None or record.key != key or record.model is None or record.model.without:
-        return None
-    enough = device.diagnose == "quick" or not record.quick
-    return record.verdict if enough and (folder / "diagnosis.html").is_file() else None
 
 
 def _with_whole_paths(device: Device) -> Device:
@@ -212,38 +171,51 @@ def _with_whole_paths(device: Device) -> Device:
     return replace(device, recordings=tuple(path.absolute() for path in device.recordings), options=options)
 
 
+def _kept(device: Device, folder: Path) -> Outcome | None:
+    """Outcome of a device that was fitted and diagnosed earlier and has not changed: no process is started for it."""
+    place = folder / device.folder
+    result = kept_result(device.recordings, place, asdict(device.options), device.name)
+    known = result and _kept_diagnosis(device, place, result.record.key)
+    return replace(_outcome(device, result), diagnosis=known) if result and known else None
+
+
+def _kept_diagnosis(device: Device, place: Path, key: str) -> str | None:
+    """Verdict of a diagnosis that was made earlier of the same recordings with the same options; None without one.
+
+    A full one does where a quick one is asked for.
+    """
+    if device.diagnose == "off":
+        return "off"
+    folder = place / DIAGNOSIS
+    record = find(DiagnosisRecord, folder)
+    if record is None or record.key != key or record.model is None or record.model.without:
+        return None
+    enough = device.diagnose == "quick" or not record.quick
+    return record.verdict if enough and (folder / "diagnosis.html").is_file() else None
+
+
 def fit_one(device: Device, folder: Path, work: Work | None = None) -> Outcome:
     """Fit and diagnose one device of a campaign in its folder below `folder`; by default with one thread, silently."""
     # A campaign in which nothing changed needs none of it.
-    from shj_bayes.app.device import Work, fit_device  # noqa: PLC0415
+    from shj_bayes.app.device import Work, diagnose_device, fit_device  # noqa: PLC0415
     from shj_bayes.report.device import render_device  # noqa: PLC0415
 
     place, off = folder / device.folder, device.diagnose == "off"
-    given = device.recordings, place, device.options
+    name, options = device.name, device.options
     work = replace(work or Work(threads=1), held={})
-    result = _tried(lambda: fit_device(*given, name=device.name, page=off, work=work))
+    result = _tried(lambda: fit_device(device.recordings, place, options, name=name, page=off, work=work))
     if isinstance(result, str):
         return Outcome(device, FAILED, result)
-    outcome = _outcome(device, result)
-    if off:
-        return replace(outcome, diagnosis="off")
-    outcome = _diagnosed(device, place, outcome, result.record.key, work)
-    page = _tried(lambda: render_device(place))  # now, since it says what the diagnosis found
+    outcome, known = _outcome(device, result), _kept_diagnosis(device, place, result.record.key)
+    if known is None:
+        look, below = DiagnoseOptions(quick=device.diagnose == "quick"), place / DIAGNOSIS
+        found = _tried(lambda: diagnose_device(device.recordings, below, options, look, name=name, work=work))
+        known, reason = (FAILED, found) if isinstance(found, str) else (found.record.verdict, "")
+        outcome = replace(outcome, status="done", diagnosis_reason=reason)
+    # The page is drawn now, since it says what the diagnosis found.
+    page = None if off else _tried(lambda: render_device(place))
+    outcome = replace(outcome, diagnosis=known)
     return replace(outcome, status=FAILED, reason=page) if isinstance(page, str) else outcome
-
-
-def _diagnosed(device: Device, place: Path, outcome: Outcome, key: str, work: Work) -> Outcome:
-    """Diagnose a fitted device, where that was not done earlier."""
-    from shj_bayes.app.device import diagnose_device  # noqa: PLC0415
-
-    known = _kept_diagnosis(device, place, key)
-    if known is not None:
-        return replace(outcome, diagnosis=known)
-    given = device.recordings, place / DIAGNOSIS, device.options, DiagnoseOptions(quick=device.diagnose == "quick")
-    found = _tried(lambda: diagnose_device(*given, name=device.name, work=work))
-    if isinstance(found, str):
-        return replace(outcome, status="done", diagnosis=FAILED, diagnosis_reason=found)
-    return replace(outcome, status="done", diagnosis=found.record.verdict)
 
 
 def _tried(job: Callable[[], Result]) -> Result | str:
@@ -257,52 +229,40 @@ def _tried(job: Callable[[], Result]) -> Result | str:
 def _outcome(device: Device, result: CommandResult) -> Outcome:
     """Outcome of a device that has a result."""
     record: FitRecord = result.record
-    return Outcome(
-        device,
-        "done" if result.fresh else "kept",
-        result.note,
-        record.verdict,
-        any(source.simulated for source in record.inputs),
-        tuple((source.name, source.sha256 or "") for source in record.inputs),
-    )
+    simulated = any(source.simulated for source in record.inputs)
+    inputs = tuple((source.name, source.sha256 or "") for source in record.inputs)
+    return Outcome(device, "done" if result.fresh else "kept", result.note, record.verdict, simulated, inputs)
 
 
-def campaign_record(
-    manifest: Manifest, outcomes: Sequence[Outcome], together: Sequence[SetTogether] = ()
-) -> CampaignRecord:
-    """Say what became of the devices of each set."""
+def campaign_record(manifest: Manifest, outcomes: Sequence[Outcome], together: Sequence[SetTogether]) -> CampaignRecord:
+    """Say what became of the devices of each set, and which recordings belong to several devices."""
     told = ("status", "reason", "verdict", "diagnosis", "diagnosis_reason", "with_set", "with_set_reason")
     sets: dict[str, list[DeviceEntry]] = {}
     of_set = {o.device.set_name: o.device for o in outcomes}
+    places: dict[str, dict[str, str]] = {}  # by digest: names of the file by device
     for o in outcomes:
-        words = {word: getattr(o, word) for word in told}
-        entry = DeviceEntry(name=o.device.name, folder=o.device.folder, note=o.device.note or None, **words)
-        sets.setdefault(o.device.set_name, []).append(entry)
-    inputs = ((f"{o.device.set_name}, {o.device.name}", name, digest) for o in outcomes for name, digest in o.inputs)
-    return CampaignRecord(
-        name=manifest.name,
-        simulated=manifest.simulated or any(o.simulated for o in outcomes),
-        warnings=tuple(repeated(inputs)),
-        sets=tuple(
-            SetEntry(name=n, devices=tuple(own), connection=of_set[n].connection, note=of_set[n].set_note or None)
-            for n, own in sets.items()
-        ),
-        together=tuple(together),
-    )
-
-
-def repeated(inputs: Iterable[tuple[str, str, str]]) -> list[str]:
-    """Say which recordings belong to several devices, from device with its set, name of the file and its digest."""
-    places: dict[str, dict[str, str]] = {}
-    for device, name, digest in inputs:
-        places.setdefault(digest, {}).setdefault(device, name)
-    return [
+        device, words = o.device, {word: getattr(o, word) for word in told}
+        entry = DeviceEntry(name=device.name, folder=device.folder, note=device.note or None, **words)
+        sets.setdefault(device.set_name, []).append(entry)
+        for name, digest in o.inputs:
+            places.setdefault(digest, {}).setdefault(f"{device.set_name}, {device.name}", name)
+    warnings = [
         f"The same recording is in {len(where)} devices, which counts one test as several: "
         + ", ".join(f"{device} ({name})" for device, name in list(where.items())[:5])
         + (f" and {len(where) - 5} more." if len(where) > 5 else ".")
         for digest, where in places.items()
         if digest and len(where) > 1
     ]
+    return CampaignRecord(
+        name=manifest.name,
+        simulated=manifest.simulated or any(o.simulated for o in outcomes),
+        warnings=tuple(warnings),
+        sets=tuple(
+            SetEntry(name=n, devices=tuple(own), connection=of_set[n].connection, note=of_set[n].set_note or None)
+            for n, own in sets.items()
+        ),
+        together=tuple(together),
+    )
 
 
 @alone_in("folder")

@@ -2,8 +2,10 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
+from itertools import starmap
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +13,7 @@ import numpy as np
 
 from shj_bayes._util.files import need_population, shipped, write_text
 from shj_bayes.app.campaign import WRITES, Outcome
-from shj_bayes.app.resume import POOLS, POPULATION, campaign_inputs, design_margins
+from shj_bayes.app.resume import POOLS, POPULATION, CommandResult, campaign_inputs, design_margins
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.curves import CurveContrast, compare_curves
 from shj_bayes.margins.export import (
@@ -44,7 +46,15 @@ from shj_bayes.margins.virtual_test import virtual_tests
 from shj_bayes.options import MarginOptions
 from shj_bayes.planning.protocol import Protocol, ProtocolBlock
 from shj_bayes.population.compare import ROPE, Contrast, compare, members, row_of, strata_of
-from shj_bayes.population.device import PUBLISHED, Claim, common, device_from_fit, published_devices, tested_by_fit
+from shj_bayes.population.device import (
+    PUBLISHED,
+    Claim,
+    DeviceEstimate,
+    common,
+    device_from_fit,
+    published_devices,
+    tested_by_fit,
+)
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult, QuantityPosterior, fit_population
 from shj_bayes.population.predict import never_tested_words, new_device_table, sets_suffice
 from shj_bayes.population.results import PopulationRecord, load_population, record_of, write_population
@@ -71,51 +81,53 @@ def pooled_campaign(usable: Sequence[Outcome], folder: Path, *, seed: int, progr
             (folder / name).unlink(missing_ok=True)
         render_campaign(folder)
         return {"record": {}, "lines": []}
+    places = [(folder / o.device.folder, o.device.name, o.device.set_name, o.device.tags) for o in usable]
 
-    def pool() -> None:
-        places = [folder / o.device.folder for o in usable]
-        devices = [
-            device_from_fit(place, o.device.name, o.device.set_name, o.device.tags)
-            for place, o in zip(places, usable, strict=True)
-        ]
-        ranges = [tested_by_fit(place) for place in places]
-        tested = common([r for r in ranges if r]) if all(ranges) else None
-        write_population(replace(fit_population(devices, seed=seed, progress=progress), tested=tested), folder)
+    def devices() -> tuple[list[DeviceEstimate], Any]:
+        ranges = [tested_by_fit(place) for place, *_ in places]
+        return list(starmap(device_from_fit, places)), common([r for r in ranges if r]) if all(ranges) else None
 
-    fits = [
-        (o.device.name, o.device.set_name, asdict(o.device.tags), digests(folder / o.device.folder, ["fit.json"]))
-        for o in usable
-    ]
-    made(folder, "population", [seed, fits], POPULATION, pool)
-    population = load_population(folder)
-    design = design_margins(folder, progress=progress)
+    fits = [(name, of_set, asdict(tags), digests(place, ["fit.json"])) for place, name, of_set, tags in places]
+    population, design, record = _pooled(folder, fits, devices, seed, progress)
     curves, forces = compared_pairs(folder, population)
     render_campaign(folder, population, curves, forces, design.record)
-    record = {**machine_record(population, design.record), "curves": curve_records(curves)}
-    return {"record": record, "lines": [band_text(population), "", design.text]}
+    lines = [band_text(population), "", design.text]
+    return {"record": {**record, "curves": curve_records(curves)}, "lines": lines}
 
 
 def pooled_tables(claims: Sequence[Claim], folder: Path, *, seed: int, progress: bool = False) -> dict[str, Any]:
     """Pool the published tables and write their page with the paper's claims; as for `pooled_campaign`."""
-
-    def pool() -> None:
-        population = replace(fit_population(published_devices(), seed=seed, progress=progress), tested=PUBLISHED)
-        write_population(population, folder)
-
-    made(folder, "population", [seed, digests(shipped("data", "published"), ["*"])], POPULATION, pool)
-    population = load_population(folder)
-    design = design_margins(folder, progress=progress)
+    rests_on = digests(shipped("data", "published"), ["*"])
+    devices = lambda: (published_devices(), PUBLISHED)  # noqa: E731
+    population, design, record = _pooled(folder, rests_on, devices, seed, progress)
     render_tables(folder, population, claims, pooled_forces(folder, population, specimens_of_table(population)))
     answers = [f"- The paper: {c.claim}. Its tables: {c.verdict}. {c.sentence}" for c in claims]
-    record = {**machine_record(population, design.record), "claims": [vars(c) for c in claims]}
-    return {"record": record, "lines": [band_text(population), "", *answers, "", design.text]}
+    lines = [band_text(population), "", *answers, "", design.text]
+    return {"record": {**record, "claims": [vars(c) for c in claims]}, "lines": lines}
 
 
-def machine_record(population: PopulationResult, drawn: dict[str, Any]) -> dict[str, Any]:
-    """Give population and margins for machines; bands and values by testing, thousands of rows, are in the file."""
-    rows = [row for row in drawn["margins"] if row["method"] not in (BANDS, TESTING, TOLERANCE, SPREAD)]
+def _pooled(
+    folder: Path,
+    rests_on: object,
+    devices: Callable[[], tuple[Sequence[DeviceEstimate], Any]],
+    seed: int,
+    progress: bool,
+) -> tuple[PopulationResult, CommandResult, dict[str, Any]]:
+    """Give the population of devices and of what was tested, or the one that stands; margins; and both for machines.
+
+    Bands and values by testing, thousands of rows, are in the file alone.
+    """
+
+    def pool() -> None:
+        those, tested = devices()
+        write_population(replace(fit_population(those, seed=seed, progress=progress), tested=tested), folder)
+
+    made(folder, "population", [seed, rests_on], POPULATION, pool)
+    population, design = load_population(folder), design_margins(folder, progress=progress)
+    rows = [row for row in design.record["margins"] if row["method"] not in (BANDS, TESTING, TOLERANCE, SPREAD)]
     files = {"population": PopulationRecord.FILE, "margins": "margins.json"}
-    return {"population": to_json(record_of(population)), "margins": {**drawn, "margins": rows}, "files": files}
+    record = {"population": to_json(record_of(population)), "margins": {**design.record, "margins": rows}}
+    return population, design, {**record, "files": files}
 
 
 def band_text(population: PopulationResult) -> str:
@@ -126,7 +138,7 @@ def band_text(population: PopulationResult) -> str:
         if row["quantity"] in SHOWN and (enough or row["set"] != ANY_SET):
             unit = "" if row["unit"] == "1" else f" {row['unit']}"
             numbers = f"{row['q05']:10.4g} {row['q50']:10.4g} {row['q95']:10.4g}{unit}"
-            devices = f"{row['n_devices']} device{'' if row['n_devices'] == 1 else 's'}"
+            devices = devices_words(row["n_devices"])
             lines.append(f"  {name_of(row['set']):34.34}{devices:12}{row['quantity']:10}{numbers}")
     return "\n".join(lines if enough else [*lines, f"  {never_tested_words(len(population.sets))}"])
 
@@ -141,13 +153,9 @@ def pool_of_tests(
     progress: bool = False,
 ) -> tuple[Tests, PopulationResult]:
     """Put the devices of a folder through a virtual test and pool them, or find both kept beside its population."""
-    path = folder / POOLS[asked is not None]
     rests_on = [digests(folder, POPULATION), campaign_inputs(folder), asked, extrapolate]
-
-    def tests() -> Tests:
-        return virtual_tests(specimens, asked, extrapolate=extrapolate)
-
-    return kept_pool(path, rests_on, result, tests, progress=progress)
+    tests = partial(virtual_tests, specimens, asked, extrapolate=extrapolate)
+    return kept_pool(folder / POOLS[asked is not None], rests_on, result, tests, progress=progress)
 
 
 def pooled_forces(folder: Path, result: PopulationResult, specimens: Sequence[Specimen]) -> PopulationResult | None:
@@ -187,7 +195,8 @@ def compare_sets(folder: Path, set_a: str, set_b: str, rope_percent: float = 10.
     who = [f"{side}: {name}" + ("" if of == (name,) else f" ({', '.join(of)})") for side, name, of in sides]
     said = {c.quantity: contrast_words(c, a, b) for c in contrasts}
     multiplicity = multiplicity_words(forces, parameters, len(strata))
-    lines = [*who, *comparison_lines(contrasts), "", COLUMNS.format(rope=rope_percent), "", *pair_lines(contrasts), ""]
+    table, of_pairs = comparison_lines(contrasts)
+    lines = [*who, *table, "", COLUMNS.format(rope=rope_percent), "", *of_pairs, ""]
     lines += [] if forces else ["Not every set gives K, Fy, beta and gamma: no forces are compared.", ""]
     lines += [f"- {words}" for words in (*said.values(), *map(curve_words, curves))]
     record = {
@@ -258,52 +267,36 @@ def compared_pairs(folder: Path, result: PopulationResult) -> tuple[tuple[CurveC
     return found, pooled_forces(folder, result, specimens)
 
 
-def comparison_lines(contrasts: Sequence[Contrast]) -> list[str]:
-    """Comparison as a table of text, one line per quantity."""
+def comparison_lines(contrasts: Sequence[Contrast]) -> tuple[list[str], list[str]]:
+    """Comparison as tables of text: one line per quantity, and one per pair of sets with what was observed of it."""
+
+    def shown(value: float | None) -> str:
+        return "-" if value is None else f"{value:.3g}"
+
+    def p(value: float | None) -> str:
+        return "-" if value is None else f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
+
+    def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+        first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
+        return [
+            "   ".join([f"  {head:{first}}", *(f"{cell:>{width}}" for cell, width in zip(cells, others, strict=True))])
+            for head, *cells in rows
+        ]
+
     words = ("observed", "a / b or a - b", "90 %", "P(a > b)", "P(same)", "new a > new b", "Welch", "permuted (least)")
     rows = [["", *words, "Holm", "spread a/b"]]
     for c in contrasts:
-        tests = c.tests
-        exact = f"{_p(tests.permutation_p)} ({_p(tests.permutation_least)})"
-        rows.append(
-            [
-                c.quantity + ("" if c.unit == "1" else f" {c.unit}"),
-                "-" if c.observed is None else f"{c.observed:.3g}",
-                f"{c.q50:.3g}",
-                f"{c.q05:.3g} to {c.q95:.3g}",
-                *(f"{x:.2f}" for x in (c.probability_level, c.probability_rope, c.superiority)),
-                _p(tests.welch_p),
-                exact if tests.permutation_p is not None else "-",
-                f"{_p(c.holm_p)} {c.holm_test}".strip(),
-                f"{c.spread_factor[1]:.2f}",
-            ]
-        )
-    return _aligned(rows)
-
-
-def pair_lines(contrasts: Sequence[Contrast]) -> list[str]:
-    """List what was observed pair by pair, a line each: quotient or difference of the means of the devices."""
-    rows = [["Observed, pair by pair", "devices", *(c.quantity for c in contrasts)]]
+        exact, least = c.tests.permutation_p, c.tests.permutation_least
+        numbers = [shown(c.observed), f"{c.q50:.3g}", f"{c.q05:.3g} to {c.q95:.3g}"]
+        numbers += [f"{x:.2f}" for x in (c.probability_level, c.probability_rope, c.superiority)]
+        numbers += [p(c.tests.welch_p), "-" if exact is None else f"{p(exact)} ({p(least)})"]
+        numbers += [f"{p(c.holm_p)} {c.holm_test}".strip(), f"{c.spread_factor[1]:.2f}"]
+        rows.append([c.quantity + ("" if c.unit == "1" else f" {c.unit}"), *numbers])
+    pairs = [["Observed, pair by pair", "devices", *(c.quantity for c in contrasts)]]
     for i, pair in enumerate(contrasts[0].pairs):
         counts = f"{len(pair.devices_a)}, {len(pair.devices_b)}"
-        cells = ("-" if (seen := c.pairs[i].observed) is None else f"{seen:.3g}" for c in contrasts)
-        rows.append([f"{pair.set_a} / {pair.set_b}", counts, *cells])
-    return _aligned(rows)
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
-    return [
-        "   ".join([f"  {head:{first}}", *(f"{cell:>{width}}" for cell, width in zip(cells, others, strict=True))])
-        for head, *cells in rows
-    ]
-
-
-def _p(value: float | None) -> str:
-    """Write a p-value; a dash where the test cannot be made."""
-    if value is None:
-        return "-"
-    return f"{value:.3f}" if value >= 0.001 else f"{value:.0e}"
+        pairs.append([f"{pair.set_a} / {pair.set_b}", counts, *(shown(c.pairs[i].observed) for c in contrasts)])
+    return aligned(rows), aligned(pairs)
 
 
 TABLES_NAME = "Published tables"
@@ -311,10 +304,7 @@ MOST_DRAWN = 100  # devices whose loops are drawn and written
 
 
 def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) -> str:
-    """Draw up and write the margins of a folder; parameters and errors as for `design_margins`.
-
-    Gives the design table and what to mind, for people.
-    """
+    """Draw up and write the margins of a folder; parameters and errors as for `design_margins`."""
     pooled = pooled_tests(folder, request, progress=progress)
     sheet, asked, campaign = sheet_of(pooled, request), pooled.asked, pooled.campaign
     slowest = min(s.ranges["speed"] for s in pooled.specimens)
@@ -326,10 +316,9 @@ def drawn_up(folder: Path, request: MarginOptions, *, progress: bool = False) ->
     simulated = campaign is not None and campaign.simulated
     render_margins(folder, sheet, loop_bands, name=name, importance=request.importance, simulated=simulated)
     notes = [f"- {line}" for line in (*sheet.diagnoses, *sheet.warnings)]
-    boxed = f"EXTRAPOLATED. {known}" if (known := extrapolated_words(sheet)) else ""
-    notes += ["", boxed] if boxed else []
-    lines = [margin_text(sheet), "", *notes, "", *two_numbers(sheet)]
-    return "\n".join(lines)
+    if beyond := extrapolated_words(sheet):
+        notes += ["", f"EXTRAPOLATED. {beyond}"]
+    return "\n".join([margin_text(sheet), "", *notes, "", *two_numbers(sheet)])
 
 
 class PooledTests(NamedTuple):
@@ -357,10 +346,9 @@ def pooled_tests(folder: Path, request: MarginOptions, *, progress: bool = False
     asked = loading_history(request, specimens) if specimens else None
     connections = connections_of(campaign, result)
     lifts = lifting_words(asked, specimens, connections)
+    extrapolate = request.extrapolate
     try:
-        tests, design = pool_of_tests(
-            folder, result, specimens, asked, extrapolate=request.extrapolate, progress=progress
-        )
+        tests, design = pool_of_tests(folder, result, specimens, asked, extrapolate=extrapolate, progress=progress)
     except PopulationError as error:
         raise PopulationError(f"{error}. {lifts}") if lifts else error from error
     return PooledTests(sets, campaign, specimens, words, asked, connections, lifts, tests, design)
@@ -412,12 +400,9 @@ def export_analysis(
     drawn = bounds(design, result, amplitude, connections)
     speed = min(s.ranges["speed"] for s in specimens)
     source = campaign.name if campaign else TABLES_NAME
-    devices = () if draws is None else draw_devices(design, result, draws, speed)
-    place = folder / target if out is None else out
-    place.mkdir(parents=True, exist_ok=True)
-    cycle = f"{amplitude:.3g} mm"
+    devices = {} if draws is None else draw_devices(design, result, draws, speed)
     left_out = (*stiffness_words(connections), *left_out_words([test.channels for test in tests]))
-    files = {"link-elements.csv": link_csv(drawn, cycle, left_out)}
+    files = {"link-elements.csv": link_csv(drawn, f"{amplitude:.3g} mm", left_out)}
     if target == PROGRAMS[0]:
         files["connection_materials.py"] = python_script(drawn, amplitude, source, left_out)
         files["connection_materials.tcl"] = tcl_script(drawn, source, left_out)
@@ -426,6 +411,8 @@ def export_analysis(
     if devices:
         files["connection_draws.py"] = draws_script(devices, amplitude, speed, source, left_out)
         files["connection_draws.csv"] = draws_csv(devices, speed)
+    place = folder / target if out is None else out
+    place.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         write_text(place / name, text)
     drawn_loops = write_loops(loops(tests, speed) if len(tests) <= MOST_DRAWN else (), place)
@@ -443,19 +430,23 @@ def read_devices(
     if not has(CampaignRecord, folder):
         return None, specimens_of_table(result), ()
     campaign = read_campaign(folder)
+    members = {group.name: group.devices for group in result.sets}
     out, found, notes, n_told = [], {}, [], 0
-    for place, name, of_set, with_set in _places(campaign, result):
-        diagnosis, why = find_diagnosis(folder / place)
+    for of_set, device in campaign.devices:
+        if device.name not in members.get(of_set, ()):
+            continue
+        name, place, with_set = device.name, folder / device.folder, device.usable_with_set
+        diagnosis, why = find_diagnosis(place)
         better = diagnosis.fit if diagnosis is not None and diagnosis.verdict is not DiagnosisVerdict.ADEQUATE else None
         if with_set:
-            better = folder / place / WITH_SET
+            better = place / WITH_SET
         if not told or of_set in told:
             n_told += 1
             if why:
                 notes.append(f"{of_set}, {name}: {why}")
             if diagnosis is not None:  # one without a fit, a first look, may have been fitted with its set after all
                 found[of_set, name] = replace(diagnosis, fit=better) if with_set else diagnosis
-        out.append(read_specimen(folder / place, name, of_set, better))
+        out.append(read_specimen(place, name, of_set, better))
     common = [group for group in campaign.together if not told or group.set in told]
     words = (*statements(common), *words_of(found, n_told, notes))
     return campaign, tuple(out), words
@@ -501,16 +492,6 @@ def connections_of(campaign: CampaignRecord | None, result: PopulationResult) ->
         return {group.name: group.connection for group in campaign.sets if group.connection}
     paper = Connection(bolts=2, bolt_mm=16.0, bolt_grade="8.8", surfaces=2, slot_mm=220.0)
     return {group.name: replace(paper, shim=group.tags.material or None) for group in result.sets}
-
-
-def _places(campaign: CampaignRecord, result: PopulationResult) -> list[tuple[str, str, str, bool]]:
-    """Folder, name, set of every device of a campaign in its population, and whether it was fitted with its set's."""
-    members = {group.name: group.devices for group in result.sets}
-    return [
-        (device.folder, device.name, set_name, device.usable_with_set)
-        for set_name, device in campaign.devices
-        if device.name in members.get(set_name, ())
-    ]
 
 
 def card_lines(sheet: Sheet) -> Iterator[str]:
@@ -566,21 +547,23 @@ def margin_text(sheet: Sheet) -> str:
 
 def two_numbers(sheet: Sheet) -> list[str]:
     """End of the text, where a terminal shows it: the force for drift and the one for capacity design of each set."""
-    own = (f"  {name_of(n)}, {_behind(sheet, n)}: {first_words(sheet, n)}" for n in sheet.spoken)
     head = f"Two numbers of each set, of the devices that were tested, {sheet.holds}, in {sheet.history}"
-    return [f"{head} (ageing is in the ASCE 7 and EN 15129 bounds alone):", *own]
+    lines = [f"{head} (ageing is in the ASCE 7 and EN 15129 bounds alone):"]
+    for name in sheet.spoken:
+        own = {row.kind: row for row in sheet.rows if row.set_name == name}
+        said = f"{DRIFT}: {told(own[DRIFT])} kN; {CAPACITY}: {told(own[CAPACITY])} kN"
+        warning = f" ({own[DRIFT].warning})" if own[DRIFT].warning else ""
+        lines.append(f"  {name_of(name)}, {_behind(sheet, name)}: {said}{warning}")
+    return lines
 
 
 def _behind(sheet: Sheet, name: str) -> str:
     """Say on how many devices, or sets, the margins of a set rest."""
     if name == ANY_SET:
         return f"from {sheet.n_sets} tested sets"
-    count = max(row.n_devices for row in sheet.rows if row.set_name == name)
-    return f"{count} device{'' if count == 1 else 's'}"
+    return devices_words(max(row.n_devices for row in sheet.rows if row.set_name == name))
 
 
-def first_words(sheet: Sheet, name: str) -> str:
-    """Give the one number for drift and the one for capacity design of a set."""
-    own = {row.kind: row for row in sheet.rows if row.set_name == name}
-    said = f"{DRIFT}: {told(own[DRIFT])} kN; {CAPACITY}: {told(own[CAPACITY])} kN"
-    return f"{said} ({own[DRIFT].warning})" if own[DRIFT].warning else said
+def devices_words(n: int) -> str:
+    """Say how many devices there are."""
+    return f"{n} device{'' if n == 1 else 's'}"

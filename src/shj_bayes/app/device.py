@@ -84,7 +84,10 @@ class Work:
         self, paths: Sequence[Path | Recording], folder: Path, options: FitOptions, name: str | None
     ) -> tuple[list[Recording], str]:
         """Read a device that may be written into a folder: its recordings and its name."""
-        recordings = (self.held or {}).get(tuple(paths)) or _usable(paths, options, self.tell)
+        recordings = (self.held or {}).get(tuple(paths)) or read_device(paths, options, self.tell)
+        for recording in recordings:
+            if blocking := [f.message for f in recording.findings if f.severity == "unusable"]:
+                raise RecordingError(f"{recording.source.name} cannot be used: {'; '.join(blocking)}")
         if self.held is not None:
             self.held[tuple(paths)] = recordings
         first = paths[0].source if isinstance(paths[0], Recording) else paths[0]
@@ -165,10 +168,7 @@ def diagnose_device(
     name: str | None,
     work: Work,
 ) -> CommandResult:
-    """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page.
-
-    Arguments are those of `shj_bayes.api.diagnose`.
-    """
+    """Find what the base law leaves out of a device's recordings; write ``diagnosis.json`` and the page."""
     # Naming what is missing needs half of scipy, which a fit need not wait for.
     from shj_bayes.mismatch.diagnosis import diagnose  # noqa: PLC0415
     from shj_bayes.report.diagnosis_page import render_diagnosis  # noqa: PLC0415
@@ -213,16 +213,6 @@ def read_device(
     return recordings if options.priors_from is None else earlier(options.priors_from).remarked(recordings)
 
 
-def _usable(paths: Sequence[Path | Recording], options: FitOptions, tell: Callable[[str], None]) -> list[Recording]:
-    """Read recordings that are not read yet; refuse those that must not be fitted."""
-    recordings = read_device(paths, options, tell)
-    for recording in recordings:
-        blocking = [f.message for f in recording.findings if f.severity == "unusable"]
-        if blocking:
-            raise RecordingError(f"{recording.source.name} cannot be used: {'; '.join(blocking)}")
-    return recordings
-
-
 def _key(
     paths: Sequence[Path | Recording],
     recordings: Sequence[Recording],
@@ -231,16 +221,14 @@ def _key(
     name: str,
 ) -> str:
     """Digest of all that the result depends on; the effects are those of the model, asked for or found."""
-    changeable = any(isinstance(given, Recording) for given in paths)
-    digests = [content_digest(recording) if changeable else recording.source.sha256 for recording in recordings]
+    digests = [recording.source.sha256 for recording in recordings]
+    if any(isinstance(given, Recording) for given in paths):  # what it holds counts, whatever its file is called
+        digests = [
+            _digest(r.time_s, r.displacement_mm, r.force_kN, r.used, *(extra.values for extra in r.extras))
+            for r in recordings
+        ]
     chosen = asdict(options) | {"effects": [effect.id for effect in model.effects]}
     return key_of(digests, chosen, model.priors.sha256, name, speed=model.speed)
-
-
-def content_digest(recording: Recording) -> str:
-    """Digest of what a recording holds, whatever its file is called."""
-    extras = [extra.values for extra in recording.extras]
-    return _digest(recording.time_s, recording.displacement_mm, recording.force_kN, recording.used, *extras)
 
 
 def _digest(*arrays: object) -> str:
@@ -248,27 +236,22 @@ def _digest(*arrays: object) -> str:
 
 
 def remarked(recordings: Sequence[Recording], free: Sequence[str] = ()) -> list[Recording]:
-    """Warn where one of a device's recordings comes again, and where an option can have no effect.
-
-    Such as `free`, the parameters that each run has for itself, where there is one run.
-    """
+    """Warn where one of a device's recordings comes again, and where an option can have no effect."""
     if len(recordings) == 1 and free:
         message = f"{', '.join(free)} cannot differ between runs where there is one run: --free has no effect"
         return [recordings[0].with_findings(Finding("free-without-effect", "warning", message))]
     first: dict[str, int] = {}
-    out = []
+    out = list(recordings)
     for number, recording in enumerate(recordings, start=1):
-        samples = _digest(recording.displacement_mm, recording.force_kN)  # whatever clock they were copied onto
-        earlier = first.setdefault(samples, number)
-        if earlier == number:
-            out.append(recording)
-            continue
-        message = (
-            f"run {number} ({recording.source.name}) holds the same samples as run {earlier} "
-            f"({recordings[earlier - 1].source.name}): the device would look as if a run changed nothing; name each "
-            "recording once"
-        )
-        out.append(recording.with_findings(Finding("same-recording", "warning", message)))
+        # By the samples, whatever clock they were copied onto.
+        before = first.setdefault(_digest(recording.displacement_mm, recording.force_kN), number)
+        if before != number:
+            message = (
+                f"run {number} ({recording.source.name}) holds the same samples as run {before} "
+                f"({recordings[before - 1].source.name}): the device would look as if a run changed nothing; name each "
+                "recording once"
+            )
+            out[number - 1] = recording.with_findings(Finding("same-recording", "warning", message))
     return out
 
 
@@ -295,10 +278,7 @@ def gamma_of(dep_mm_s: float | None) -> float:
 def write_simulated(
     stem: Path, truth: Truth, *, seed: int, rate_Hz: float, last_cycles: int = 5, model: str = "published"
 ) -> list[Path]:
-    """Simulate two runs of Table 1 and write ``STEM-run1.csv``, ``STEM-run2.csv`` and the truth, ``STEM.json``.
-
-    The same seed gives the same files.
-    """
+    """Simulate two runs of Table 1 and write ``STEM-run1.csv``, ``STEM-run2.csv`` and the truth, ``STEM.json``."""
     blocks = table_1(last_cycles)
     recordings = simulate_device(truth, seed=seed, rate_Hz=rate_Hz, blocks=blocks, variant=model)
     stem.parent.mkdir(parents=True, exist_ok=True)
@@ -355,8 +335,7 @@ def examine() -> tuple[dict[str, Any], str]:
         "first_fit_s": first,
         "likelihood_ns_per_block": 1e9 * seconds / (16 * posterior.blocks.used.size),
     }
-    lines = [f"{name:12}{version}" for name, version in record["versions"].items()]
-    lines += [f"{name:12}{value}" for name, value in record["machine"].items()]
+    lines = [f"{name:12}{said}" for part in ("versions", "machine") for name, said in record[part].items()]
     lines += [f"{name}: {words}" for name, words in record["checks"].items()]
     lines += [
         f"first search for a fit: {first:.1f} s (compiles once after installation)",

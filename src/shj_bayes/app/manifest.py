@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -20,27 +20,65 @@ from shj_bayes.results.campaign import MAX_NOTE, SCHEMA, Connection
 
 MAX_DEVICES = 100_000
 MAX_BYTES = 50_000_000
-# What stands in a manifest for a kind of value, and how that is called.
-_FORMS: dict[Any, tuple[Any, str]] = {
-    str: (str, "a text"),
-    int: (int, "a whole number"),
-    float: (int | float, "a number"),
-    bool: (bool, "true or false"),
-    tuple: (list, "a list of texts"),
-    Literal: (int | str, 'a number of runs, "split" or "one"'),
+
+
+class _Form(NamedTuple):
+    """What a manifest may hold for a key."""
+
+    kind: Any  # for isinstance; a truth value is no number
+    words: str
+    allowed: Callable[[Any], object] = lambda _: True
+
+
+_FORMS: dict[Any, _Form] = {
+    str: _Form(str, "a text"),
+    int: _Form(int, "a whole number"),
+    float: _Form(int | float, "a number"),
+    bool: _Form(bool, "true or false"),
+    tuple: _Form(list, "a list of texts"),
+    dict: _Form(dict, "a table"),
+    Literal: _Form(int | str, 'a number of runs, "split" or "one"'),
 }
 
 
-def _form(hint: Any) -> tuple[Any, str]:
-    """Give what a manifest may hold for a field of this type."""
-    if get_origin(hint) in (Union, UnionType):
-        hint = [one for one in get_args(hint) if one is not NoneType][-1]
-    return _FORMS[get_origin(hint) or hint]
+def _forms(kind: type) -> dict[str, _Form]:
+    """Give what a manifest may hold for the fields of a class."""
+    forms = {}
+    for name, hint in get_type_hints(kind).items():
+        known = [one for one in get_args(hint) if one is not NoneType] if get_origin(hint) in (Union, UnionType) else ()
+        form = known[-1] if known else hint
+        forms[name] = _FORMS[get_origin(form) or form]
+    return forms
 
 
-OPTION_KINDS = {name: _form(hint) for name, hint in get_type_hints(FitOptions).items() if name != "priors_from"}
-TAG_KINDS = {name: _form(hint) for name, hint in get_type_hints(Tags).items()}
-PARTS = {name: _form(hint) for name, hint in get_type_hints(Connection).items()}
+OPTIONS = {name: form for name, form in _forms(FitOptions).items() if name != "priors_from"}
+TAGS = _forms(Tags) | {"coverage_percent": _Form(int | float, "a number from 0 to 100", lambda p: 0 <= p <= 100)}
+CONNECTION = _forms(Connection)
+SAID = {
+    "name": _Form(str, "a text", str.strip),
+    "diagnose": _Form(str, " or ".join(f'"{word}"' for word in DIAGNOSES), DIAGNOSES.__contains__),
+}
+NOTE = {"note": _Form(str, f"a text of at most {MAX_NOTE} characters", lambda text: len(text) <= MAX_NOTE)}
+DEVICE = {
+    **SAID,
+    **NOTE,
+    "recordings": _Form(
+        list,
+        'files in the order they were run, as in ["run1.csv", "run2.csv"]',
+        lambda files: files and all(isinstance(file, str) and file and "\0" not in file for file in files),
+    ),
+    "runs": OPTIONS["runs"],
+    "options": _FORMS[dict],
+}
+MEMBERS = _Form(list, "[[set.device]] tables (mind the double brackets)", bool)
+SET = {**SAID, **NOTE, **TAGS, "connection": _FORMS[dict], "options": _FORMS[dict], "device": MEMBERS}
+GROUPS = _Form(list, "[[set]] tables, each with a name and [[set.device]] tables", bool)
+TOP = {**SAID, "schema": _FORMS[str], "simulated": _FORMS[bool], "defaults": _FORMS[dict], "set": GROUPS}
+PLACES = {  # of keys that stand where they would silently be without effect
+    **dict.fromkeys(OPTIONS, "is an option: put it into a table [defaults], [set.options] or [set.device.options]"),
+    **dict.fromkeys(TAGS, "describes a set: put it directly below [[set]]"),
+    "diagnose": "is no option of a fit: put it at the top of the manifest, below [[set]] or below [[set.device]]",
+}
 
 
 @dataclass(frozen=True)
@@ -84,49 +122,58 @@ def read_manifest(path: Path) -> Manifest:
     for cache in (_priors, _check):
         cache.cache_clear()  # the files may have changed since
     top = _Table(path, "the manifest", read_toml(path, SCHEMA, MAX_BYTES, CampaignError)[0])
-    top.know(("schema", "name", "simulated", "diagnose", "defaults", "set"), "[defaults]")
-    name = top.text("name") if "name" in top.content else plain_name(path.stem)
-    simulated = top.content.get("simulated", False)
-    if not isinstance(simulated, bool):
-        raise top.error(f"has simulated = {shown(simulated)}; allowed are true and false", "simulated")
+    said = top.read(TOP, "set")
     devices = tuple(_devices(top))
-    if not 1 <= len(devices) <= MAX_DEVICES:
+    if len(devices) > MAX_DEVICES:
         raise CampaignError(f"{path.name} names {len(devices)} devices; allowed are 1 to {MAX_DEVICES}")
     folders = Counter(device.folder for device in devices)
     if twice := next((device for device in reversed(devices) if folders[device.folder] > 1), None):
         raise CampaignError(f"{path.name}: device '{twice.name}' stands twice in set '{twice.set_name}'")
-    return Manifest(name, devices, simulated)
+    return Manifest(plain_name(said.get("name", path.stem)), devices, said.get("simulated", False))
 
 
 def _devices(top: _Table) -> Iterator[Device]:
     """Devices of all sets; what a set or a device does not say, the table above it says."""
-    defaults, diagnose = top.options(FitOptions(), "defaults"), top.diagnose(DIAGNOSES[0])
-    for group in top.tables("set", "has no [[set]] table; each set needs a name and [[set.device]] tables"):
-        set_name = group.text("name")
-        at = group._replace(words=f"set '{set_name}'")
-        at.know(("name", "note", "diagnose", "options", "device", "connection", *TAG_KINDS), "[set.options]")
-        tags, for_set, connection = at.tags(), at.diagnose(diagnose), at.connection()
-        members = at.tables("device", "has no [[set.device]] table (mind the double brackets)")
-        own = at.options(defaults)
-        for member in members:
-            name = member._replace(words=at.words).text("name")
-            here = member._replace(words=f"{at.words}, device '{name}'")
-            here.know(("name", "note", "recordings", "runs", "diagnose", "options"), "[set.device.options]")
-            recordings, options = here.recordings(), own
-            if "runs" in here.content:
-                options = here.with_option(own, "runs", here.content["runs"], "runs")
-            options = here.options(options)
+    defaults, diagnose = top.options(FitOptions(), "defaults"), top.content.get("diagnose", DIAGNOSES[0])
+    for at in top.tables("set", ""):
+        group = at.read(SET, "name", "device")
+        tags = {name: group[name] for name in TAGS if name in group}
+        if "coverage_percent" in tags:
+            tags["coverage_percent"] = float(tags["coverage_percent"])
+        connection = None
+        if "connection" in group:
+            place = _Table(top.path, f"{at.words}, its connection", group["connection"], (*at.keys, "connection"))
             try:
-                _check(options, len(recordings))
+                connection = Connection(**_plain(place.read(CONNECTION)))
+            except ValueError as error:
+                raise place.error(f"cannot be: {error}") from error
+        own = at.options(defaults)
+        for here in at.tables("device", f"{at.words}, "):
+            said = here.read(DEVICE, "name", "recordings")
+            options = here.options(here.options(own, "runs"))
+            try:
+                _check(options, len(said["recordings"]))
             except ShjError as error:
                 raise here.error(f"cannot be fitted: {error}", "recordings") from error
-            notes = here.note(), at.note()
-            yield Device(name, set_name, recordings, options, tags, connection, here.diagnose(for_set), *notes)
+            yield Device(
+                plain_name(said["name"]),
+                plain_name(group["name"]),
+                tuple(top.path.parent / file for file in said["recordings"]),
+                options,
+                Tags(**_plain(tags)),
+                connection,
+                said.get("diagnose", group.get("diagnose", diagnose)),
+                *(plain_lines(one.get("note", "")).strip() for one in (said, group)),
+            )
 
 
 # What cannot be read or fitted is refused once for all devices that name it: a thousand share their options.
 _priors = lru_cache(read_priors)
 _check = lru_cache(check_priors)
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: plain_name(value) if isinstance(value, str) else value for key, value in values.items()}
 
 
 class _Table(NamedTuple):
@@ -142,124 +189,51 @@ class _Table(NamedTuple):
         line = toml_line(self.path, (*self.keys, *key)) if key else None
         return CampaignError(f"{self.path.name}{f', line {line}' if line else ''}: {self.words} {said}")
 
-    def tables(self, key: str, without: str) -> list[_Table]:
-        """Tables of a list of at least one."""
-        found = self.content.get(key)
-        if not isinstance(found, list) or not found:
-            raise self.error(without)
-        return [
-            _Table(self.path, f"[[{key}]] number {i}", one, (*self.keys, key, i - 1))
-            for i, one in enumerate(found, start=1)
-        ]
+    def tables(self, key: str, within: str) -> list[_Table]:
+        """Tables of a list, which messages call by their names."""
+        out = []
+        for i, one in enumerate(self.content[key]):
+            name = one.get("name") if isinstance(one, dict) else None
+            named = isinstance(name, str) and name.strip()
+            words = f"{key} '{plain_name(str(name))}'" if named else f"[[{key}]] number {i + 1}"
+            out.append(_Table(self.path, f"{within}{words}", one, (*self.keys, key, i)))
+        return out
 
-    def know(self, allowed: tuple[str, ...], options: str) -> None:
-        """Refuse keys that would be silently without effect, with the table where they belong."""
+    def read(self, forms: Mapping[str, _Form], *needed: str) -> dict[str, Any]:
+        """Give the content; refuse other keys, values of another form, and that a needed key is missing."""
         if not isinstance(self.content, dict):
             raise self.error(f"must be a table, not {shown(self.content)}")
-        for key in self.content:
-            if key in allowed:
-                continue
-            if key in OPTION_KINDS:
-                place = f"it is an option: put it into a table {options}"
-            elif key in TAG_KINDS:
-                place = "it describes a set: put it directly below [[set]]"
-            else:
-                place = f"known are {', '.join(allowed)}{did_you_mean(key, allowed)}"
-            raise self.error(f"has the key '{key}', which has no effect there; {place}", key)
-
-    def text(self, key: str) -> str:
-        """Text that must be there."""
-        value = self.content.get(key) if isinstance(self.content, dict) else None
-        if not isinstance(value, str) or not value.strip():
-            raise self.error(f"has {key} = {shown(value)}; it needs a text", *([] if value is None else [key]))
-        return plain_name(value)
-
-    def note(self) -> str:
-        """Give what somebody wrote, which changes no number."""
-        value = self.content.get("note", "")
-        if not isinstance(value, str) or len(value) > MAX_NOTE:
-            raise self.error(f"has note = {shown(value)}; it needs a text of at most {MAX_NOTE} characters", "note")
-        return plain_lines(value).strip()
-
-    def recordings(self) -> tuple[Path, ...]:
-        """Files of a device."""
-        files = self.content.get("recordings")
-        if not isinstance(files, list) or not files or not all(isinstance(f, str) and f for f in files):
-            said = 'needs recordings = ["run1.csv", ...] in the order they were run'
-            raise self.error(said, *(["recordings"] if files else []))
-        if "\x00" in "".join(files):
-            raise self.error("names a file with a NUL character", "recordings")
-        return tuple(self.path.parent / f for f in files)
-
-    def values(self, kinds: Mapping[str, tuple[Any, str]]) -> dict[str, Any]:
-        """Values of the keys that there are, each of its kind."""
-        values: dict[str, Any] = {}
         for key, value in self.content.items():
-            if key in kinds:
-                kind, words = kinds[key]
-                if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-                    raise self.error(f"has {key} = {shown(value)}; it needs {words}", key)
-                values[key] = plain_name(value) if isinstance(value, str) else value
-        return values
-
-    def tags(self) -> Tags:
-        """Read what makes a set what it is, for contrasts between sets."""
-        values = self.values(TAG_KINDS)
-        percent = values.get("coverage_percent")
-        if percent is not None:
-            if not 0 <= percent <= 100:
-                raise self.error(f"has coverage_percent = {shown(percent)}; allowed is 0 to 100", "coverage_percent")
-            values["coverage_percent"] = float(percent)
-        return Tags(**values)
-
-    def connection(self) -> Connection | None:
-        """Read the connection as tested; None where nothing is said of it."""
-        if (entry := self.content.get("connection")) is None:
-            return None
-        place = self._replace(words=f"{self.words}, its connection", content=entry, keys=(*self.keys, "connection"))
-        place.know((*PARTS,), "[set.options]")
-        try:
-            return Connection(**place.values(PARTS))
-        except ValueError as error:
-            raise place.error(f"cannot be: {error}") from error
-
-    def diagnose(self, otherwise: str) -> str:
-        """How the devices of the table are to be diagnosed."""
-        value = self.content.get("diagnose", otherwise)
-        if value in DIAGNOSES:
-            return str(value)
-        hint = did_you_mean(value, DIAGNOSES) if isinstance(value, str) else ""
-        allowed = ", ".join(f'"{word}"' for word in DIAGNOSES)
-        raise self.error(f"has diagnose = {shown(value)}; allowed are {allowed}{hint}", "diagnose")
+            if key not in forms:
+                place = PLACES.get(key, f"is not known; known are {', '.join(forms)}{did_you_mean(key, forms)}")
+                raise self.error(f"has the key '{key}', which has no effect there; it {place}", key)
+            kind, words, allowed = forms[key]
+            if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool) or not allowed(value):
+                near = did_you_mean(str(value), DIAGNOSES) if key == "diagnose" else ""
+                raise self.error(f"has {key} = {shown(value)}; it needs {words}{near}", key)
+        for key in needed:
+            if key not in self.content:
+                raise self.error(f"lacks {key} = ...; it needs {forms[key].words}")
+        return self.content
 
     def options(self, base: FitOptions, key: str = "options") -> FitOptions:
-        """Options with those of a table in this one put over them, one by one, so that a message can name the line."""
-        entry = self.content.get(key, {})
-        if not isinstance(entry, dict):
-            raise self.error(f"{key} must be a table, not {shown(entry)}", key)
+        """Options with those of a table in this one put over them, one by one, so that a message can name the line.
+
+        ``runs`` may stand in this table itself.
+        """
+        if key not in self.content:
+            return base
+        at = self if key == "runs" else _Table(self.path, self.words, self.content[key], (*self.keys, key))
+        entry = {key: at.content[key]} if key == "runs" else at.read(OPTIONS)
         # The rate last: columns of the same table may take away the time column that it would contradict.
         for name, value in sorted(entry.items(), key=lambda item: item[0] == "rate_Hz"):
-            base = self.with_option(base, name, value, key, name)
-        return base
-
-    def with_option(self, base: FitOptions, name: str, value: Any, *where: str) -> FitOptions:
-        """Options with one more of the manifest, which stands at `where`."""
-        if name == "diagnose":
-            places = "the top of the manifest, below [[set]] or below [[set.device]]"
-            raise self.error(f"has the option 'diagnose', which is no option of a fit: put it at {places}", *where)
-        if name not in OPTION_KINDS:
-            known = f"known are {', '.join(OPTION_KINDS)}{did_you_mean(name, OPTION_KINDS)}"
-            raise self.error(f"has the option '{name}'; {known}", *where)
-        kind, words = OPTION_KINDS[name]
-        if not isinstance(value, kind) or isinstance(value, bool):
-            raise self.error(f"option {name} = {shown(value)}; it needs {words}", *where)
-        if name == "priors" and value.endswith(".toml"):
-            value = str(self.path.parent / value)
-        change: dict[str, Any] = {name: tuple(map(str, value)) if isinstance(value, list) else value}
-        try:
-            base = replace(base, **change)
-            if name == "priors":
-                _priors(base.priors)
-        except ShjError as error:
-            raise self.error(f"option {error}", *where) from error
+            known: Any = tuple(map(str, value)) if isinstance(value, list) else value
+            if name == "priors" and value.endswith(".toml"):
+                known = str(self.path.parent / value)
+            try:
+                base = replace(base, **{name: known})
+                if name == "priors":
+                    _priors(base.priors)
+            except ShjError as error:
+                raise at.error(f"option {error}", name) from error
         return base

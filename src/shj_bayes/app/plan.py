@@ -14,11 +14,10 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors
 from shj_bayes.options import PlanOptions
 from shj_bayes.planning.information import FORCE, WHICH, quantity_named
-from shj_bayes.planning.plan import Plan, PlanRecord, force_record, make_plan, write_plan
-from shj_bayes.planning.protocol import LIMITS, Protocol, Rig, proposals, stated_limits, table_1_protocol
+from shj_bayes.planning.plan import force_record, make_plan, write_plan
+from shj_bayes.planning.protocol import LIMITS, Protocol, Rig, proposals, read_rig, table_1_protocol
 from shj_bayes.planning.rivals import (
     DeviceUnderTest,
-    PretestPosterior,
     before_any_test,
     class_of,
     common_scales,
@@ -50,44 +49,31 @@ def plan_next(
     The devices are those of the `folders` that `shj_bayes.api.plan` takes; `rig` is a file of limits. `tell` gets one
     line for each step. `PlanError` if a folder, a limit or a question cannot be used.
     """
-    limits = stated_limits(rig, {name: getattr(asked, name) for name in LIMITS})
+    limits = {} if rig is None else read_rig(rig)
+    limits |= {name: value for name in LIMITS if (value := getattr(asked, name)) is not None}
     tested = [_read(folder) for folder in folders]
+    plan = None
     if asked.question == FORCE:
         further = further_devices([one.Fy[0] for one in tested], [one.Fy[1] for one in tested])
-        return _written(out, force_record(further, tuple(one.name for one in tested), asked.seed), None)
-    base = DeviceModel(1, read_priors(asked.priors))
-    limited = _rig(tested, base, limits)
-    proposed = proposals(limited)
-    given = tuple(_protocol(Path(path), tell) for path in asked.histories)
-    known = _known(tested, base, limited, (*proposed, *given), asked.among, tell)
-    undecided = any(len(k.keys) > 1 for k in known)
-    word = asked.question or (WHICH if undecided else DEFAULT_QUESTION)
-    quantities = () if word == WHICH else tuple(quantity_named(k, word) for k in known)
-    plan = make_plan(known, limited, proposed, given, question=word, quantities=quantities, seed=asked.seed, tell=tell)
-    return _written(out, plan.record, plan)
-
-
-def _known(
-    tested: Sequence[DeviceUnderTest],
-    base: DeviceModel,
-    rig: Rig,
-    protocols: Sequence[Protocol],
-    among: Sequence[str],
-    tell: Callable[[str], None],
-) -> list[PretestPosterior]:
-    """Give what is known of each device, or of a new one where none was tested."""
-    if not tested:
-        if among:
+        record = force_record(further, tuple(one.name for one in tested), asked.seed)
+    else:
+        if asked.among and not tested:
             raise PlanError("--among needs the folder of a device; from priors alone all mechanisms are compared")
-        return [before_any_test(base, common_scales((), rig, protocols))]
-    if among:
-        rivals = tuple((class_of(word), 1.0 / len(among)) for word in among)
-        tested = [replace(one, sets=rivals, untold=True) for one in tested]
-    return [linearise(one, common_scales(one.runs, rig, protocols), tell) for one in tested]
-
-
-def _written(out: Path, record: PlanRecord, plan: Plan | None) -> CommandResult:
-    """Write the files and the page of a plan; what a question about further devices gives has no protocol."""
+        base = DeviceModel(1, read_priors(asked.priors))
+        limited = _rig(tested, base, limits)
+        proposed, given = proposals(limited), tuple(_protocol(Path(path), tell) for path in asked.histories)
+        protocols = (*proposed, *given)
+        if asked.among:
+            rivals = tuple((class_of(word), 1.0 / len(asked.among)) for word in asked.among)
+            tested = [replace(one, sets=rivals, untold=True) for one in tested]
+        known = [linearise(one, common_scales(one.runs, limited, protocols), tell) for one in tested]
+        known = known or [before_any_test(base, common_scales((), limited, protocols))]
+        word = asked.question or (WHICH if any(len(k.keys) > 1 for k in known) else DEFAULT_QUESTION)
+        quantities = () if word == WHICH else tuple(quantity_named(k, word) for k in known)
+        plan = make_plan(
+            known, limited, proposed, given, question=word, quantities=quantities, seed=asked.seed, tell=tell
+        )
+        record = plan.record
     write_plan(out, record, plan)
     return CommandResult(record, f"{plan_text(record)}\n\nplan: {render_plan(out, record, plan)}")
 
@@ -107,32 +93,22 @@ def _read(folder: Path) -> DeviceUnderTest:
 
 def _rig(tested: Sequence[DeviceUnderTest], base: DeviceModel, limits: Mapping[str, float]) -> Rig:
     """Limits as they are given, else what every test so far reached; from priors alone, what Table 1 needs."""
-    runs = [run for one in tested for run in one.runs]
+    table, runs = table_1_protocol(), [run for one in tested for run in one.runs]
     if runs:
-        reached = {
-            "max_stroke_mm": min(max(float(np.ptp(r.motion.turning_mm)) for r in one.runs) / 2.0 for one in tested),
-            "max_speed_mm_s": min(
-                max(float(np.percentile(r.motion.speed_mm_s, 99)) for r in one.runs) for one in tested
-            ),
-            "max_force_kN": HEADROOM * max(float(np.abs(r.recording.force_kN).max()) for r in runs),
-            "max_minutes": max(r.recording.duration_s for r in runs) / 60.0,
-            "rate_Hz": min(r.recording.rate_Hz for r in runs),
-        }
+        motions = [[run.motion for run in one.runs] for one in tested]
+        stroke_mm = min(max(float(np.ptp(m.turning_mm)) for m in own) / 2.0 for own in motions)
+        speed_mm_s = min(max(float(np.percentile(m.speed_mm_s, 99)) for m in own) for own in motions)
+        force_kN = max(float(np.abs(r.recording.force_kN).max()) for r in runs)
+        seconds, rate_Hz = max(r.recording.duration_s for r in runs), min(r.recording.rate_Hz for r in runs)
     else:
-        table = table_1_protocol()
-        reached = {
-            "max_stroke_mm": table.largest_mm,
-            "max_speed_mm_s": table.fastest_mm_s,
-            "max_force_kN": HEADROOM * float(base.priors.of("Fy").quantile(0.95)),
-            "max_minutes": table.duration_s / 60.0,
-            "rate_Hz": FIRST_RATE_HZ,
-        }
-    rounded = {name: float(f"{value:.4g}") for name, value in reached.items()}
-    return Rig(**{**rounded, **limits})
+        stroke_mm, speed_mm_s, seconds, rate_Hz = table.largest_mm, table.fastest_mm_s, table.duration_s, FIRST_RATE_HZ
+        force_kN = float(base.priors.of("Fy").quantile(0.95))
+    reached = (stroke_mm, speed_mm_s, HEADROOM * force_kN, seconds / 60.0, rate_Hz)
+    return Rig(**{name: float(f"{value:.4g}") for name, value in zip(LIMITS, reached, strict=True)} | dict(limits))
 
 
 def _protocol(path: Path, tell: Callable[[str], None]) -> Protocol:
     asked = from_file(path)
     for line in asked.found:
         tell(line)
-    return replace(Protocol(path.stem), samples=(asked.time_s, asked.motion))
+    return Protocol(path.stem, samples=(asked.time_s, asked.motion))

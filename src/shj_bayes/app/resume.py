@@ -32,7 +32,7 @@ from shj_bayes.results.fit import FitRecord, Trust
 from shj_bayes.results.store import check_files, content_of, digests, find, has, made, read
 
 if TYPE_CHECKING:
-    from shj_bayes.model.priors import Prior, Priors
+    from shj_bayes.model.priors import Priors
 
 
 class CommandResult(NamedTuple):
@@ -60,8 +60,7 @@ def device_text(folder: Path, record: FitRecord, note: str = "") -> str:
     width = max(len(row.name) for row in record.parameters) + 1
     lines += ["", f"  {'':{width}}{'mean':>12}{'sd':>11}{'5 %':>12}{'95 %':>12}  unit"]
     for row in map(shown.row, record.parameters):
-        numbers = f"{row.mean:12.5g}{row.sd:11.2g}{row.q05:12.5g}{row.q95:12.5g}"
-        numbers += f"  {row.unit}"
+        numbers = f"{row.mean:12.5g}{row.sd:11.2g}{row.q05:12.5g}{row.q95:12.5g}  {row.unit}"
         if base_of(row.name) == "gamma":
             numbers += f"  ({words.dep_words(row.q05, row.q95)})"
         if row.name in record.undetermined:
@@ -75,10 +74,7 @@ def device_text(folder: Path, record: FitRecord, note: str = "") -> str:
 def kept_result(
     paths: Sequence[Path], folder: Path, options: Mapping[str, Any], name: str | None
 ) -> CommandResult | None:
-    """Give the result of the same fit, finished earlier; None where it has to be made, or made whole.
-
-    `options` are all fields of `FitOptions`.
-    """
+    """Give the result of the same fit, finished earlier; None where it has to be made, or made whole."""
     there = has(FitRecord, folder) and (folder / "report.html").is_file()
     if not there or options["priors_from"] is not None:
         return None
@@ -96,10 +92,7 @@ def kept_result(
 def key_of(
     digests: Sequence[str], options: Mapping[str, Any], priors_sha256: str, name: str, *, speed: bool = True
 ) -> str:
-    """Digest of all that a result depends on: digests of the recordings, in their order, all `Options`, priors, name.
-
-    `speed` says whether the law depends on it.
-    """
+    """Digest of all that a result depends on: recordings in order, `FitOptions`, priors, name, `speed` of the law."""
     # Of a prior file its name and digest count, not where it lies: the folder may be reached by another path.
     chosen = {**options, "priors": Path(options["priors"]).name, "effects": sorted(options["effects"])}
     content = [list(digests), chosen, priors_sha256, name, speed, shj_bayes.__version__, sorted(base_parameters())]
@@ -184,40 +177,42 @@ class Earlier:
 
     def __post_init__(self) -> None:
         """Refuse bands that are none."""
-        for name, band in self.bands.items():
-            low, middle, high = band
+        for name, (low, middle, high) in self.bands.items():
             if not (-math.inf < low < middle < high < math.inf and (low > 0 or name == "gamma")):
-                shown = ", ".join(f"{value:g}" for value in band)
                 raise PriorError(
-                    f"{name} of {self.statement} has 5, 50 and 95 % at {shown}; they must be finite, grow and, but "
-                    "for gamma, be above zero; run the command again that made it"
+                    f"{name} of {self.statement} has 5, 50 and 95 % at {low:g}, {middle:g}, {high:g}; they must be "
+                    "finite, grow and, but for gamma, be above zero; run the command again that made it"
                 )
 
     def on(self, family: Priors) -> Priors:
         """Priors of a family with the laws of these parameters in place of its own."""
-        laws = {name: replace(family.of(name), name=name) for name in self.bands}
-        own = {name: _law(laws[name], band, self.statement) for name, band in self.bands.items()}
-        digest = hashlib.sha256(f"{family.sha256} {self.sha256}".encode()).hexdigest()
+        own = {}
+        for name, (low, middle, high) in self.bands.items():
+            if name == "gamma":
+                law, spread = "normal", max((high - low) / NINETY, 1e-6)
+            else:
+                law, spread = "lognormal", max(math.log(high / low) / NINETY, LEAST_SPREAD)
+            source = f"Posterior of {self.statement}."
+            own[name] = replace(family.of(name), name=name, law=law, a=middle, b=spread, source=source, earlier=True)
         return replace(
             family,
             family=f"{family.family}, and the posterior of {self.statement}",
             statement=f"{family.statement} Taken from earlier tests: {', '.join(own)}, of {self.statement}.",
-            sha256=digest,
+            sha256=hashlib.sha256(f"{family.sha256} {self.sha256}".encode()).hexdigest(),
             earlier=own,
         )
 
     def remarked(self, recordings: Sequence[Recording]) -> list[Recording]:
         """Warn of recordings that the prior rests on already: their evidence would count twice."""
-        out = []
-        for recording in recordings:
-            if recording.source.sha256 and recording.source.sha256 in self.recordings:
-                message = (
-                    f"{recording.source.name} is in the posterior of {self.statement}, which is the prior here: what "
-                    "it says counts twice, and the intervals are too narrow; give recordings that are new"
-                )
-                recording = recording.with_findings(Finding("recording-in-prior", "warning", message))  # noqa: PLW2901
-            out.append(recording)
-        return out
+
+        def warned(recording: Recording) -> Recording:
+            message = (
+                f"{recording.source.name} is in the posterior of {self.statement}, which is the prior here: what "
+                "it says counts twice, and the intervals are too narrow; give recordings that are new"
+            )
+            return recording.with_findings(Finding("recording-in-prior", "warning", message))
+
+        return [warned(one) if one.source.sha256 in self.recordings else one for one in recordings]
 
 
 def priors_of(options: FitOptions) -> Priors:
@@ -238,68 +233,43 @@ def earlier(where: str) -> Earlier:
 
     `PriorError` if there is neither, or no such set; `InferenceError` if the fit is damaged.
     """
-    name, _, chosen = where.partition("#")
-    folder = Path(name)
-    if has(FitRecord, folder):
-        if chosen:
-            raise PriorError(
-                f"--priors-from {where}: {name} is the fit of one device and has no sets; leave #{chosen} out"
-            )
-        return _of_device(folder)
-    if (folder / "population.json").is_file():
-        return _of_set(folder, chosen)
-    raise PriorError(f"--priors-from {name}: there is no fit and no campaign in it; name the folder given to -o")
-
-
-def _of_device(folder: Path) -> Earlier:
     from shj_bayes.population.quantities import band_of  # noqa: PLC0415  (needs scipy)
     from shj_bayes.results.device import read_group  # noqa: PLC0415  (needs h5py)
 
+    name, _, chosen = where.partition("#")
+    folder = Path(name)
+    if not has(FitRecord, folder):
+        if (folder / "population.json").is_file():
+            return _of_set(folder, chosen)
+        raise PriorError(f"--priors-from {name}: there is no fit and no campaign in it; name the folder given to -o")
+    if chosen:
+        raise PriorError(f"--priors-from {where}: {name} is the fit of one device and has no sets; leave #{chosen} out")
     record, draws = read(FitRecord, folder), read_group(folder, "posterior")
     if record.verdict == Trust.UNUSABLE:
         raise PriorError(f"--priors-from {folder.name}: its posterior is unusable; run that fit again first")
-    names = [name for name in draws if name in LAW or name.startswith("ratio_")]
-    bands = {name: band_of(draws[name]) for name in names}
-    inputs = frozenset(map(str, record.sha256_of_inputs))
-    return Earlier(f"device {record.device}", bands, record.digest, inputs)
+    bands = {n: band_of(values) for n, values in draws.items() if n in LAW or n.startswith("ratio_")}
+    return Earlier(f"device {record.device}", bands, record.digest, frozenset(map(str, record.sha256_of_inputs)))
 
 
 def _of_set(folder: Path, chosen: str) -> Earlier:
+    """Read what is known of a new device of a set, by its name in any case, or of the only one there is."""
     from shj_bayes.population.hierarchy import ANY_SET  # noqa: PLC0415
     from shj_bayes.population.results import PopulationRecord  # noqa: PLC0415  (needs half of scipy)
 
     record = read(PopulationRecord, folder)
     with damage_told(f"population.json in {folder.name}", PriorError):
         sets = {one.name: one for one in record.sets if one.name != ANY_SET}
-        names = list(sets)
-        if not chosen and len(names) == 1:
-            chosen = names[0]
-        alike = [name for name in names if name.casefold() == chosen.casefold()]
+        alike = [name for name in sets if name.casefold() == chosen.casefold() or (not chosen and len(sets) == 1)]
         if chosen not in sets and len(alike) != 1:
             said = f"has no set '{chosen}'" if chosen else "holds several sets"
-            hint = did_you_mean(chosen, names) if chosen else f"; write {folder}#SET"
-            raise PriorError(f"--priors-from: {folder.name} {said}; there are {', '.join(names)}{hint}")
+            hint = did_you_mean(chosen, sets) if chosen else f"; write {folder}#SET"
+            raise PriorError(f"--priors-from: {folder.name} {said}; there are {', '.join(sets)}{hint}")
         name = chosen if chosen in sets else alike[0]
         bands = sets[name].new_device
         known = {q: tuple(float(bands[q][key]) for key in ("q05", "q50", "q95")) for q in LAW if q in bands}
-        digest = file_digest(folder / PopulationRecord.FILE)
-        return Earlier(f"a new device of set {name}", known, digest, _recordings(folder, name))
-
-
-def _recordings(folder: Path, name: str) -> frozenset[str]:
-    """Digests of the recordings of a set; none where the population rests on published tables."""
-    if not has(CampaignRecord, folder):
-        return frozenset()
-    fits = [folder / device.folder for set_name, device in read_campaign(folder).devices if set_name == name]
-    records = [read(FitRecord, fit) for fit in fits if has(FitRecord, fit)]
-    return frozenset(str(sha256) for one in records for sha256 in one.sha256_of_inputs)
-
-
-def _law(own: Prior, band: Sequence[float], statement: str) -> Prior:
-    """Law of a parameter with the 5, 50 and 95 % of an earlier result."""
-    low, middle, high = band
-    own = replace(own, source=f"Posterior of {statement}.", earlier=True)
-    if own.name == "gamma":
-        return replace(own, law="normal", a=middle, b=max((high - low) / NINETY, 1e-6))
-    spread = max(math.log(high / low) / NINETY, LEAST_SPREAD)
-    return replace(own, law="lognormal", a=middle, b=spread)
+    fits = []  # none where the population rests on published tables
+    if has(CampaignRecord, folder):
+        places = [folder / device.folder for of, device in read_campaign(folder).devices if of == name]
+        fits = [read(FitRecord, place) for place in places if has(FitRecord, place)]
+    recordings = frozenset(str(sha256) for fit in fits for sha256 in fit.sha256_of_inputs)
+    return Earlier(f"a new device of set {name}", known, file_digest(folder / PopulationRecord.FILE), recordings)

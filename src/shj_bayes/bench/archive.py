@@ -6,12 +6,10 @@ that others can tell what is in it without this program.
 
 import json
 import os
-import shutil
 import zipfile
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
-from typing import Any
+from tempfile import TemporaryDirectory
 
 import shj_bayes
 from shj_bayes._util.files import file_digest
@@ -27,26 +25,13 @@ SPECIFICATION = "https://w3id.org/ro/crate/1.1"
 
 
 def pack(folder: Path, target: Path) -> None:
-    """Write a folder into a file, with its metadata."""
-    files = list(_files(folder))
-    crate = json.dumps(_crate(folder, files), indent=1, ensure_ascii=False)
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
-        archive.writestr(CRATE, crate)
-        for path in files:
-            archive.write(path, path.relative_to(folder).as_posix())
-
-
-def _files(folder: Path) -> Iterator[Path]:
-    """Files of a folder that belong into an archive; no link is followed."""
-    for root, names, files in os.walk(folder):
-        names.sort()
-        for name in sorted(files):
-            path = Path(root) / name
-            if not path.is_symlink() and not name.endswith(LEFT_OUT) and name != CRATE:
-                yield path
-
-
-def _crate(folder: Path, files: list[Path]) -> dict[str, Any]:
+    """Write a folder into a file, with its metadata; no link is followed."""
+    files = [
+        Path(root, name)
+        for root, _, names in sorted(os.walk(folder))
+        for name in sorted(names)
+        if not (name.endswith(LEFT_OUT) or name == CRATE or Path(root, name).is_symlink())
+    ]
     entries = [
         {
             "@id": path.relative_to(folder).as_posix(),
@@ -70,7 +55,11 @@ def _crate(folder: Path, files: list[Path]) -> dict[str, Any]:
     }
     about = {"@id": CRATE, "@type": "CreativeWork", "conformsTo": {"@id": SPECIFICATION}, "about": {"@id": "./"}}
     graph = [about, root, program | {"softwareVersion": shj_bayes.__version__}, *entries]
-    return {"@context": f"{SPECIFICATION}/context", "@graph": graph}
+    crate = {"@context": f"{SPECIFICATION}/context", "@graph": graph}
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=3) as archive:
+        archive.writestr(CRATE, json.dumps(crate, indent=1, ensure_ascii=False))
+        for path, entry in zip(files, entries, strict=True):
+            archive.write(path, entry["@id"])
 
 
 def unpack(source: Path, folder: Path) -> None:
@@ -83,30 +72,27 @@ def unpack(source: Path, folder: Path) -> None:
         raise CampaignError(
             f"{folder.name} is there already and is not empty; open it, or move it away to unpack {source.name} again"
         )
-    there = folder.exists()
-    try:
-        with zipfile.ZipFile(source) as archive:
-            entries = [entry for entry in archive.infolist() if not entry.is_dir()]
-            _refuse(source.name, entries)
-            digests = _digests(archive, source.name)
-            if {entry.filename for entry in entries} != {*digests, CRATE}:
-                raise CampaignError(f"{source.name}: its files are not those that {CRATE} names")
-            folder.mkdir(parents=True, exist_ok=True)
-            for entry in entries:
-                _extract(archive, entry, folder / entry.filename)
-        for name, digest in digests.items():
-            if file_digest(folder / name) != digest:
-                raise CampaignError(f"{source.name}: {shown(name)} was altered after the archive was made")
-        root = folder.resolve()
-        if not all(path.resolve().is_relative_to(root) for path in Session(folder).files.values()):
-            raise CampaignError(f"{source.name}: its {MANIFEST} names recordings that are not in the archive")
-    except BaseException as error:
-        shutil.rmtree(folder, ignore_errors=True)
-        if there:
-            folder.mkdir()
-        if isinstance(error, zipfile.BadZipFile):
+    with TemporaryDirectory(dir=folder.parent, prefix=".unpacked-") as scratch:
+        made = Path(scratch, folder.name)
+        try:
+            with zipfile.ZipFile(source) as archive:
+                entries = [entry for entry in archive.infolist() if not entry.is_dir()]
+                _refuse(source.name, entries)
+                digests = _digests(archive, source.name)
+                if {entry.filename for entry in entries} != {*digests, CRATE}:
+                    raise CampaignError(f"{source.name}: its files are not those that {CRATE} names")
+                archive.extractall(made, entries)  # of each no more than the archive says
+        except zipfile.BadZipFile as error:
             raise CampaignError(f"{source.name} is no archive of a bench ({error})") from error
-        raise
+        for name, digest in digests.items():
+            if not (made / name).is_file() or file_digest(made / name) != digest:
+                raise CampaignError(f"{source.name}: {shown(name)} was altered after the archive was made")
+        root = made.resolve()
+        if not all(path.resolve().is_relative_to(root) for path in Session(made).files.values()):
+            raise CampaignError(f"{source.name}: its {MANIFEST} names recordings that are not in the archive")
+        if folder.exists():
+            folder.rmdir()
+        made.replace(folder)
 
 
 def _refuse(name: str, entries: list[zipfile.ZipInfo]) -> None:
@@ -131,13 +117,3 @@ def _digests(archive: zipfile.ZipFile, name: str) -> dict[str, str]:
         return {str(one["@id"]): str(one["sha256"]) for one in graph if "sha256" in one}
     except (KeyError, TypeError, ValueError) as error:
         raise CampaignError(f"{name} has no readable {CRATE}; only archives that a bench made are opened") from error
-
-
-def _extract(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, target: Path) -> None:
-    """Write one file; no more of it than the archive says."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    left = entry.file_size
-    with archive.open(entry) as packed, target.open("xb") as stream:
-        while left > 0 and (part := packed.read(min(left, 2**20))):
-            stream.write(part)
-            left -= len(part)

@@ -7,7 +7,6 @@ files and checkpoints behind, so that the same job again goes on from there.
 import asyncio
 import os
 import time
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -47,7 +46,6 @@ class Job:
     state: str = WAITING
     share: float | None = None  # done, where that is known
     words: str = "waiting for a processor"
-    result: Any = None
     slot: "Companion | None" = field(default=None, repr=False)
 
     @property
@@ -67,12 +65,12 @@ class Jobs:
         self.notify = notify
         self.jobs: dict[str, Job] = {}
         self._numbers = count(1)
-        self._n_long = max(1, os.cpu_count() or 1)
-        self._threads = ThreadPoolExecutor(self._n_long + 2)
-        self._quick: Companion | None = None
+        n_long = os.cpu_count() or 1
+        self._threads = ThreadPoolExecutor(n_long + 2)
+        self._room = asyncio.Semaphore(n_long)  # for jobs, in the order in which they were begun
         self._one_at_a_time = asyncio.Lock()
+        self._quick: Companion | None = None
         self._free: list[Companion] = []
-        self._waiting: deque[Job] = deque()
         self._tasks: set[asyncio.Task[None]] = set()
         self._busy_until = time.monotonic()
 
@@ -81,6 +79,10 @@ class Jobs:
         """Jobs that are still to end."""
         return [job for job in self.jobs.values() if job.under_way]
 
+    def _aside(self, function: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:
+        """Run what waits for a process in a thread."""
+        return asyncio.get_running_loop().run_in_executor(self._threads, function, *args)
+
     async def ask(self, name: str, *args: Any) -> Any:
         """Call a function at once and give its result; `CallFailedError` with the reason in words.
 
@@ -88,22 +90,17 @@ class Jobs:
         """
         async with self._one_at_a_time:
             self._busy_until = time.monotonic()
-            loop = asyncio.get_running_loop()
             if self._quick is None:
-                self._quick = await loop.run_in_executor(self._threads, Companion, _prepare)
+                self._quick = await self._aside(Companion, _prepare)
             asked = self._quick
-            call = loop.run_in_executor(
-                self._threads, lambda: asked.call(_call, name, *args, told=lambda _share, _words: None)
-            )
+            call = self._aside(lambda: asked.call(_call, name, *args, told=lambda _share, _words: None))
             try:
                 return await asyncio.wait_for(asyncio.shield(call), PATIENCE_S)
-            except asyncio.CancelledError:  # nobody waits any more: its answer must not be that to the next question
-                self._quick = None
+            except (asyncio.CancelledError, EOFError, TimeoutError) as error:
+                self._quick = None  # its answer must not be that to the next question
                 asked.stop()
-                raise
-            except (EOFError, TimeoutError) as error:
-                self._quick = None
-                asked.stop()
+                if isinstance(error, asyncio.CancelledError):  # nobody waits any more
+                    raise
                 why = "took too long" if isinstance(error, TimeoutError) else "ended its process (memory, or killed)"
                 raise CallFailedError(f"{name.replace('_', ' ')} {why}; try it again") from error
 
@@ -123,20 +120,17 @@ class Jobs:
             return again
         job = Job(f"j{next(self._numbers)}", kind, target, args)
         self.jobs[job.id] = job
-        self._waiting.append(job)
-        self._begin_next()
+        self._start(self._run(job))
         self.notify(job)
         return job
 
     def end(self, job: Job) -> None:
         """End a job; what it wrote stays."""
-        if not job.under_way:
-            return
-        job.state, job.words = ENDED, "ended; again, it goes on from the last checkpoint"
-        if job.slot is not None:
-            slot, job.slot = job.slot, None
-            asyncio.get_running_loop().run_in_executor(self._threads, slot.stop)
-        self.notify(job)
+        if job.under_way:
+            job.state, job.words = ENDED, "ended; again, it goes on from the last checkpoint"
+            if job.slot is not None:
+                self._aside(job.slot.stop)
+            self.notify(job)
 
     def stop(self) -> None:
         """End everything."""
@@ -160,46 +154,42 @@ class Jobs:
             self._quick.stop()
             self._quick = None
 
-    def _begin_next(self) -> None:
-        while self._waiting and sum(job.state == RUNNING for job in self.jobs.values()) < self._n_long:
-            job = self._waiting.popleft()
-            if job.state == WAITING:
-                job.state, job.words = RUNNING, "beginning"
-                self._start(self._run(job))
-
     def _start(self, what: Any) -> None:
         task = asyncio.get_running_loop().create_task(what)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
     async def _run(self, job: Job) -> None:
-        loop = asyncio.get_running_loop()
-        slot = self._free.pop() if self._free else await loop.run_in_executor(self._threads, Companion, _prepare)
-        if job.state == ENDED:
-            self._free.append(slot)
-            return
-        job.slot = slot
+        async with self._room:
+            if job.state != WAITING:
+                return
+            job.state, job.words = RUNNING, "beginning"
+            self.notify(job)
+            loop = asyncio.get_running_loop()
+            slot = self._free.pop() if self._free else await self._aside(Companion, _prepare)
 
-        def told(share: float | None, words: str) -> None:
-            loop.call_soon_threadsafe(self._told, job, share, words)
+            def told(share: float | None, words: str) -> None:
+                loop.call_soon_threadsafe(self._told, job, share, words)
 
-        try:
-            job.result = await loop.run_in_executor(
-                self._threads, lambda: slot.call(_call, job.kind, *job.args, told=told)
-            )
-            job.state, job.words, job.share = DONE, "done", 1.0
-            self._free.append(slot)
-        except CallFailedError as error:
-            job.state, job.words = FAILED, str(error)
-            self._free.append(slot)
-        except EOFError:
-            if job.state != ENDED:
-                job.state, job.words = FAILED, "its process ended (memory, or killed); try it again"
-                await loop.run_in_executor(self._threads, slot.stop)
-        job.slot = None
-        self._busy_until = time.monotonic()
-        self._begin_next()
-        self.notify(job)
+            try:
+                if job.state == RUNNING:
+                    job.slot = slot
+                    await self._aside(lambda: slot.call(_call, job.kind, *job.args, told=told))
+                state, words = DONE, "done"
+            except CallFailedError as error:
+                state, words = FAILED, str(error)
+            except EOFError:
+                state, words = FAILED, "its process ended (memory, or killed); try it again"
+                await self._aside(slot.stop)
+                slot = None
+            if job.state == RUNNING:
+                job.state, job.words, job.share = state, words, 1.0 if state == DONE else job.share
+            elif job.slot is not None:  # ended meanwhile, and its process with it
+                slot = None
+            job.slot = None
+            self._free += [slot] if slot else []
+            self._busy_until = time.monotonic()
+            self.notify(job)
 
     def _told(self, job: Job, share: float | None, words: str) -> None:
         if job.state == RUNNING:

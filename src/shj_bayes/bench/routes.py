@@ -6,9 +6,9 @@ No path of a browser is ever opened; it names what there is by ids. What fails i
 import asyncio
 import json
 import os
+import re
 import secrets
 import shlex
-import shutil
 import sys
 import tempfile
 import time
@@ -42,6 +42,7 @@ from shj_bayes.report.page import environment_of, is_ours
 LONGEST_QUEUE = 200  # of what is still to be told to a page
 LONGEST_JSON = 1_000_000  # bytes of what a page says
 SLOWEST_S, SLOWEST_BYTES = 20.0, 20_000  # of an upload: so many bytes in so many seconds, or it is refused
+STILL_S = 15.0  # without news, after which a page is told that the bench is still there
 FOREIGN = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'self'"
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -64,14 +65,15 @@ STATIC = {
 KINDS = {".js": "text/javascript", ".css": "text/css"}
 REPORTS = {"report": "report.html", "margins": "margins.html"}
 OF_DEVICE = {"report": "report.html", "diagnosis": "diagnosis/diagnosis.html", "plan": "next/plan.html"}
+LIMITS = ("max_stroke_mm", "max_speed_mm_s", "max_force_kN", "max_minutes", "rate_Hz")  # of a rig
+STORIES = {"demo": "campaign.toml", "clean": "clean.toml", "prying": "prying.toml"}
+GLOSSARY_CELLS = 7
+Handler = Callable[["Bench", Request], Awaitable[Any]]
 
 
 def cookie_name(port: int) -> str:
     """Name of the cookie: cookies hold for all ports of a host."""
     return f"shj_bench_{port}"
-
-
-Handler = Callable[["Bench", Request], Awaitable[Any]]
 
 
 class Bench:
@@ -85,18 +87,30 @@ class Bench:
         self.last_seen = time.monotonic()
         self.overview: dict[str, Any] = {"devices": []}
         self.port = 0
-        self.checked: dict[str, tuple[str, dict[str, Any]]] = {}  # by device: what it was, and what the check said
-        self.read: dict[str, tuple[str, dict[str, Any]]] = {}  # by file: how it was read, and what was found
+        # what was told of a file or of a check of a device, by its id, with all that it rests on
+        self.told: dict[str, tuple[str, dict[str, Any]]] = {}
+
+    async def ask(self, name: str, *args: Any) -> Any:
+        """Call a function of `work` on the folder at once."""
+        return await self.jobs.ask(name, self.session.folder, *args)
+
+    def begin(self, kind: str, target: str, *args: Any) -> dict[str, Any]:
+        """Begin a function of `work` on the folder that takes long."""
+        return self.jobs.begin(kind, target, self.session.folder, *args).told()
+
+    async def told_of(self, key: str, rests_on: str, name: str, *args: Any) -> dict[str, Any]:
+        """Give what a function of `work` says of a file or device, as it did before where that rests on the same."""
+        if self.told.get(key, ("",))[0] != rests_on:
+            self.told[key] = rests_on, await self.ask(name, *args)
+        return self.told[key][1]
 
     async def found_in(self, key: str) -> dict[str, Any]:
         """Give what was found in a file, read as its device says."""
         path, chosen = self.session.file(key), reading_of(self.session, key)
-        stamp = reading_stamp(path, chosen)
-        if key not in self.read or self.read[key][0] != stamp:
-            self.read[key] = stamp, await self.jobs.ask("read_file", self.session.folder, path, chosen)
+        found = await self.told_of(key, reading_stamp(path, chosen), "read_file", path, chosen)
         given = (name for name in ("columns", "units", "sheet") if name in chosen)
         again = self.command("check", path, *(word for name in given for word in (f"--{name}", chosen[name])))
-        return {"id": key, **self.read[key][1], "options": chosen, "command": again}
+        return {"id": key, **found, "options": chosen, "command": again}
 
     def _job_changed(self, job: Job) -> None:
         self.say("job", job.told())
@@ -109,9 +123,15 @@ class Bench:
             if queue.qsize() < LONGEST_QUEUE:
                 queue.put_nowait((kind, content))
 
+    async def changed(self) -> dict[str, Any]:
+        """Write what was changed of sets and devices, tell all pages, and give everything that one shows."""
+        self.session.write()
+        self.say("changed", "sets")
+        return await self.state()
+
     async def state(self) -> dict[str, Any]:
         """Everything that a page shows at first."""
-        self.overview = await self.jobs.ask("overview", self.session.folder)
+        self.overview = await self.ask("overview")
         known = {(one["set"], one["name"]): one for one in self.overview["devices"]}
         sets = [
             {
@@ -136,10 +156,7 @@ class Bench:
         ]
         return {
             "folder": self.session.folder.name,
-            "error": self.overview["error"],
-            "pooled": self.overview["pooled"],
-            "changed": self.overview["changed"],
-            "pages": self.overview["pages"],
+            **{name: self.overview[name] for name in ("error", "pooled", "changed", "pages")},
             "files": [{"id": key, "name": path.name} for key, path in self.session.files.items()],
             "sets": sets,
             "jobs": [job.told() for job in self.jobs.under_way],
@@ -160,8 +177,8 @@ class Bench:
         return json.dumps([group.name, device.name, files, options, device.content.get("runs")])
 
     def _passed(self, key: str) -> bool | None:
-        said = self.checked.get(key)
-        return None if said is None or said[0] != self.stamp(key) else bool(said[1]["passed"])
+        rests_on, found = self.told.get(key, ("", {}))
+        return bool(found["passed"]) if rests_on == self.stamp(key) else None
 
 
 def reading_stamp(path: Path, options: dict[str, Any]) -> str:
@@ -175,11 +192,11 @@ class BodyError(CampaignError):
 
 async def body_of(request: Request, most: int) -> AsyncIterator[bytes]:
     """Parts of what is sent: no more than allowed, and no slower."""
+    too_large = BodyError(f"more than {most // 1024**2 or 1} MiB; export fewer channels or rows")
     stated = request.headers.get("content-length", "0")
     if not stated.isdigit() or int(stated) > most:
-        raise BodyError(f"more than {most // 1024**2 or 1} MiB; export fewer channels or rows")
-    size, begun, seen = 0, time.monotonic(), 0
-    stream = request.stream()
+        raise too_large
+    size, begun, seen, stream = 0, time.monotonic(), 0, request.stream()
     while True:
         try:
             part = await asyncio.wait_for(anext(stream), SLOWEST_S)
@@ -189,7 +206,7 @@ async def body_of(request: Request, most: int) -> AsyncIterator[bytes]:
             raise BodyError("the upload stood still; send the file again") from error
         size += len(part)
         if size > most:
-            raise BodyError(f"more than {most // 1024**2 or 1} MiB; export fewer channels or rows")
+            raise too_large
         if time.monotonic() - begun > SLOWEST_S:
             if size - seen < SLOWEST_BYTES:
                 raise BodyError("the upload was too slow; send the file again")
@@ -197,21 +214,25 @@ async def body_of(request: Request, most: int) -> AsyncIterator[bytes]:
         yield part
 
 
+async def received(request: Request, path: Path) -> None:
+    """Put what is sent into a file, whole or not at all."""
+    with replacing(path) as part, part.open("wb") as stream:
+        async for piece in body_of(request, MAX_BYTES):
+            stream.write(piece)
+
+
 async def said(request: Request) -> dict[str, Any]:
     """Read what a page says, as JSON."""
     text = b"".join([part async for part in body_of(request, LONGEST_JSON)])
     try:
-        content = json.loads(text or b"{}")
-    except (ValueError, RecursionError) as error:
-        raise BodyError("what the page said is no JSON; load the page again") from error
-    if not isinstance(content, dict):
-        raise BodyError("what the page said is no table; load the page again")
-    return content
+        return {**json.loads(text or b"{}")}
+    except (TypeError, ValueError, RecursionError) as error:
+        raise BodyError("what the page said is no table as JSON; load the page again") from error
 
 
-def stated(asked: dict[str, Any]) -> dict[str, Any]:
-    """Give what a page says without fields that were left empty."""
-    return {name: value for name, value in asked.items() if value not in ("", None, False)}
+async def stated(request: Request) -> dict[str, Any]:
+    """Read what a page says without fields that were left empty."""
+    return {name: value for name, value in (await said(request)).items() if value not in ("", None, False)}
 
 
 def answered(handler: Handler) -> Callable[[Request], Awaitable[Response]]:
@@ -226,12 +247,11 @@ def answered(handler: Handler) -> Callable[[Request], Awaitable[Response]]:
             return JSONResponse({"refused": str(error)}, 413, HEADERS)
         except (ShjError, CallFailedError) as error:  # what the page asked for cannot be: it says so, in these words
             return JSONResponse({"refused": str(error)}, headers=HEADERS)
-        except OSError as error:
-            return JSONResponse({"refused": system_words(error)}, 500, HEADERS)
         except ClientDisconnect:
             return Response(status_code=499)
         except Exception as error:  # told to the page in words, never as a traceback
-            return JSONResponse({"refused": words_of(error)}, 500, HEADERS)
+            told = system_words(error) if isinstance(error, OSError) else words_of(error)
+            return JSONResponse({"refused": told}, 500, HEADERS)
         return result if isinstance(result, Response) else JSONResponse(result, headers=HEADERS)
 
     return route
@@ -251,14 +271,26 @@ async def enter(bench: Bench, request: Request) -> Response:
     return answer
 
 
-async def front(bench: Bench, request: Request) -> Response:
+async def front(bench: Bench, _: Request) -> Response:
     """Give the page."""
     page = environment_of("shj_bayes.bench", "shj_bayes.report").get_template("bench.html")
     text = page.render(folder=bench.session.folder.name, glossary=glossary())
     return HTMLResponse(text, headers=HEADERS | {"Content-Security-Policy": POLICY})
 
 
-async def static(bench: Bench, request: Request) -> Response:
+def glossary() -> dict[str, str]:
+    """Meaning of each term of the glossary, by its term and by its sign."""
+    meanings: dict[str, str] = {}
+    for line in shipped("docs", "glossary.md").read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip().replace("\\|", "|").replace("`", "") for cell in re.split(r"(?<!\\)\|", line)]
+        if len(cells) == GLOSSARY_CELLS and cells[1] not in ("term", "---"):
+            term, unit, sign, meaning = cells[1:5]
+            meaning += f" ({unit})" if unit not in ("", "1") else ""
+            meanings |= {term: meaning, **({sign: f"{term}: {meaning}"} if sign else {})}
+    return meanings
+
+
+async def static(_: Bench, request: Request) -> Response:
     """Give a script or a style sheet of ours."""
     path = STATIC.get(request.path_params["name"])
     if path is None:
@@ -266,12 +298,12 @@ async def static(bench: Bench, request: Request) -> Response:
     return Response(path.read_bytes(), headers=HEADERS, media_type=KINDS[path.suffix])
 
 
-async def state(bench: Bench, request: Request) -> Any:
+async def state(bench: Bench, _: Request) -> Any:
     """Give everything that the page shows."""
     return await bench.state()
 
 
-async def events(bench: Bench, request: Request) -> Response:
+async def events(bench: Bench, _: Request) -> Response:
     """Tell a page what changes, as long as it is open."""
     queue: asyncio.Queue[tuple[str, Any]] = asyncio.Queue()
 
@@ -281,7 +313,7 @@ async def events(bench: Bench, request: Request) -> Response:
             yield "retry: 1000\n\n"
             while True:
                 try:
-                    kind, content = await asyncio.wait_for(queue.get(), 15.0)
+                    kind, content = await asyncio.wait_for(queue.get(), STILL_S)
                     yield f"event: {kind}\ndata: {json.dumps(content)}\n\n"
                     if kind == "ended":
                         return
@@ -297,15 +329,13 @@ async def events(bench: Bench, request: Request) -> Response:
 async def upload(bench: Bench, request: Request) -> Any:
     """Take a recording in, and read it."""
     path = place_for(bench.session, request.query_params.get("name", ""))
-    with replacing(path) as part, part.open("wb") as stream:
-        async for piece in body_of(request, MAX_BYTES):
-            stream.write(piece)
+    await received(request, path)
     if (there := same_as(bench.session, path)) is not None:
         path.unlink()
         return {**await bench.found_in(there), "already": True}
-    plain = await bench.jobs.ask("read_file", bench.session.folder, path, {})
+    plain = await bench.ask("read_file", path, {})
     key = bench.session.add(path, plain["form"])
-    bench.read[key] = reading_stamp(path, {}), plain  # read again only where its device says how
+    bench.told[key] = reading_stamp(path, {}), plain  # read again only where its device says how
     found = await bench.found_in(key)
     bench.say("changed", "file")
     return found
@@ -317,50 +347,35 @@ async def file(bench: Bench, request: Request) -> Any:
     path = bench.session.file(key)
     if request.method == "DELETE":
         bench.session.remove(key)
+    elif request.method == "PUT":
+        asked = await stated(request)
+        _, before = bench.told.get(key, ("", {}))
+        found = await bench.ask("read_file", path, asked)
+        bench.session.set_reading(key, asked, before.get("form", "") if not found["error"] else "")
+    if request.method != "GET":
         bench.say("changed", "file")
-        return {}
-    if request.method == "PUT":
-        asked = stated(await said(request))
-        form = bench.read[key][1].get("form", "") if key in bench.read else ""
-        found = await bench.jobs.ask("read_file", bench.session.folder, path, asked)
-        bench.session.set_reading(key, asked, form if not found["error"] else "")
-        bench.say("changed", "file")
-    return await bench.found_in(key)
+    return {} if request.method == "DELETE" else await bench.found_in(key)
 
 
 async def arrange(bench: Bench, request: Request) -> Any:
     """Put files into devices and devices into sets."""
     bench.session.arrange((await said(request)).get("sets", []))
-    bench.say("changed", "sets")
-    return await bench.state()
+    return await bench.changed()
 
 
-async def describe_set(bench: Bench, request: Request) -> Any:
-    """Take down what is known of a set."""
-    bench.session.group(request.path_params["id"]).describe(await said(request))
-    bench.session.write()
-    bench.say("changed", "sets")
-    return await bench.state()
-
-
-async def describe_device(bench: Bench, request: Request) -> Any:
-    """Take down what is known of a device."""
-    bench.session.device(request.path_params["id"])[1].describe(await said(request))
-    bench.session.write()
-    bench.say("changed", "sets")
-    return await bench.state()
+async def describe(bench: Bench, request: Request) -> Any:
+    """Take down what is known of a set or of a device."""
+    key = request.path_params["id"]
+    of_set = request.url.path.startswith("/api/sets/")
+    (bench.session.group(key) if of_set else bench.session.device(key)[1]).describe(await said(request))
+    return await bench.changed()
 
 
 async def check(bench: Bench, request: Request) -> Any:
     """Say what the recordings of a device can tell, before anything is fitted."""
     key = request.path_params["id"]
     group, device = bench.session.device(key)
-    stamp = bench.stamp(key)
-    known = bench.checked.get(key)
-    if known is None or known[0] != stamp:
-        found = await bench.jobs.ask("check", bench.session.folder, group.name, device.name)
-        bench.checked[key] = stamp, found
-    return bench.checked[key][1]
+    return await bench.told_of(key, bench.stamp(key), "check", group.name, device.name)
 
 
 async def fit(bench: Bench, request: Request) -> Any:
@@ -369,14 +384,14 @@ async def fit(bench: Bench, request: Request) -> Any:
     group, device = bench.session.device(key)
     if not (await check(bench, request))["passed"]:
         raise CampaignError(f"{device.name} has not passed its check; the reasons stand there")
-    n_waiting = sum(job.kind == "fit" for job in bench.jobs.under_way)
-    threads = 0 if n_waiting == 0 else 1  # alone, a fit may use all processors; the numbers are the same
-    return bench.jobs.begin("fit", key, bench.session.folder, group.name, device.name, threads).told()
+    # Alone, a fit may use all processors (0); the numbers are the same.
+    threads = int(any(job.kind == "fit" for job in bench.jobs.under_way))
+    return bench.begin("fit", key, group.name, device.name, threads)
 
 
-async def pool(bench: Bench, request: Request) -> Any:
+async def pool(bench: Bench, _: Request) -> Any:
     """Begin population, margins and report."""
-    return bench.jobs.begin("pool", "campaign", bench.session.folder, os.cpu_count() or 1).told()
+    return bench.begin("pool", "campaign", os.cpu_count() or 1)
 
 
 async def end(bench: Bench, request: Request) -> Any:
@@ -388,18 +403,9 @@ async def end(bench: Bench, request: Request) -> Any:
     return job.told()
 
 
-async def card(bench: Bench, request: Request) -> Any:
-    """Give the card of each set for what a designer asks."""
-    asked = margins_asked(bench, await said(request))
-    found = await bench.jobs.ask("card", bench.session.folder, asked)
-    given = [(flag_of(MarginOptions, name), value) for name, value in asked.items()]
-    words = [word for flag, value in given for word in ((flag,) if value is True else (flag, value))]
-    return {**found, "command": bench.command("margins", bench.session.folder, *words)}
-
-
-def margins_asked(bench: Bench, content: dict[str, Any]) -> dict[str, Any]:
+async def margins_asked(bench: Bench, request: Request) -> dict[str, Any]:
     """Options of the margins that a page states; a history is the one that was dropped in, whatever it says."""
-    asked = stated(content)
+    asked = await stated(request)
     for name in ("history", "drift"):
         if name in asked:
             if (path := history_in(bench.session.folder)) is None:
@@ -408,18 +414,23 @@ def margins_asked(bench: Bench, content: dict[str, Any]) -> dict[str, Any]:
     return asked
 
 
+async def card(bench: Bench, request: Request) -> Any:
+    """Give the card of each set for what a designer asks."""
+    asked = await margins_asked(bench, request)
+    found = await bench.ask("card", asked)
+    given = [(flag_of(MarginOptions, name), value) for name, value in asked.items()]
+    words = [word for flag, value in given for word in ((flag,) if value is True else (flag, value))]
+    return {**found, "command": bench.command("margins", bench.session.folder, *words)}
+
+
 async def margins(bench: Bench, request: Request) -> Any:
     """Begin to draw up and write the margins for what a designer asks."""
-    asked = margins_asked(bench, await said(request))
-    return bench.jobs.begin("margins", "margins", bench.session.folder, asked).told()
+    return bench.begin("margins", "margins", await margins_asked(bench, request))
 
 
 async def history(bench: Bench, request: Request) -> Any:
     """Take a history of displacement in."""
-    path = place_for_history(bench.session.folder, request.query_params.get("name", ""))
-    with replacing(path) as part, part.open("wb") as stream:
-        async for piece in body_of(request, MAX_BYTES):
-            stream.write(piece)
+    await received(request, place_for_history(bench.session.folder, request.query_params.get("name", "")))
     return {}
 
 
@@ -427,43 +438,39 @@ async def compare(bench: Bench, request: Request) -> Any:
     """Compare two sets."""
     asked = await said(request)
     a, b = (bench.session.group(str(asked.get(side))).name for side in ("a", "b"))
-    found = await bench.jobs.ask("compare", bench.session.folder, a, b)
-    return {**found, "command": bench.command("compare", bench.session.folder, a, b)}
+    return {**await bench.ask("compare", a, b), "command": bench.command("compare", bench.session.folder, a, b)}
 
 
 async def plan(bench: Bench, request: Request) -> Any:
     """Begin to plan the next test of a device."""
     key = request.path_params["id"]
     group, device = bench.session.device(key)
-    known = ("max_stroke_mm", "max_speed_mm_s", "max_force_kN", "max_minutes", "rate_Hz")
-    asked = {name: value for name, value in stated(await said(request)).items() if name in known}
+    asked = await stated(request)
     try:
-        limits = {name: float(value) for name, value in asked.items()}
+        limits = {name: float(asked[name]) for name in LIMITS if name in asked}
     except (TypeError, ValueError) as error:
         raise CampaignError(f"a limit of the rig is no number: {asked}") from error
-    return bench.jobs.begin("plan", key, bench.session.folder, group.name, device.name, limits).told()
+    return bench.begin("plan", key, group.name, device.name, limits)
 
 
 async def page(bench: Bench, request: Request) -> Response:
     """Give a page of results: one of ours as it is, any other without its scripts."""
-    kind, name = request.path_params["of"], request.path_params["name"]
-    if kind == "campaign":
-        place, names = bench.session.folder, REPORTS
-    else:
+    kind, name, root = request.path_params["of"], request.path_params["name"], bench.session.folder
+    place, names = root, REPORTS
+    if kind != "campaign":
         group, device = bench.session.device(kind)
         told = bench.overview["devices"]
         where = (one.get("folder") for one in told if (one["set"], one["name"]) == (group.name, device.name))
-        place, names = bench.session.folder / (next(where, None) or "nowhere"), OF_DEVICE
+        place, names = root / (next(where, None) or "nowhere"), OF_DEVICE
     path = place / names.get(name, "nowhere")
-    root = bench.session.folder.resolve()
-    if name not in names or not path.is_file() or not path.resolve().is_relative_to(root):
+    if not path.is_file() or not path.resolve().is_relative_to(root.resolve()):
         return Response("there is no such page (any more)\n", 404, HEADERS)
     ours = await asyncio.to_thread(is_ours, path)
     policy = "frame-ancestors 'self'" if ours else FOREIGN
     return HTMLResponse(path.read_bytes(), headers=HEADERS | {"Content-Security-Policy": policy})
 
 
-async def download(bench: Bench, request: Request) -> Response:
+async def download(bench: Bench, _: Request) -> Response:
     """Give the folder as one file."""
     handle, name = tempfile.mkstemp(suffix=".zip")
     os.close(handle)
@@ -473,40 +480,14 @@ async def download(bench: Bench, request: Request) -> Response:
 
 
 async def story(bench: Bench, request: Request) -> Any:
-    """Bring in the recordings of a story that ships with the program, or a measured one that lies beside it."""
-    name = request.path_params["name"]
-    if name in STORIES:
-        bring(bench.session, shipped("data", "examples", STORIES[name]))
-    elif name == "brake" and BRAKE.is_file():
-        path = place_for(bench.session, BRAKE.name)
-        await asyncio.to_thread(shutil.copyfile, BRAKE, path)
-        bench.session.add(path)
-    else:
-        raise CampaignError(
-            f"the recording of this story is not here ({BRAKE}): it is measured data, which does not ship"
-        )
-    bench.say("changed", "sets")
-    return await bench.state()
+    """Bring in the recordings of an example that ships with the program."""
+    manifest = STORIES.get(request.path_params["name"])
+    if manifest is None:
+        raise CampaignError("there is no such example")
+    bring(bench.session, shipped("data", "examples", manifest))
+    return await bench.changed()
 
 
-STORIES = {"demo": "campaign.toml", "clean": "clean.toml", "prying": "prying.toml"}
-BRAKE = Path("..", "shared", "recordings", "brfd-lehigh", "ds1_0.5Hz80lb.csv.gz")
-
-
-def glossary() -> dict[str, str]:
-    """Meaning of each term of the glossary, by its term and by its sign."""
-    meanings: dict[str, str] = {}
-    for line in shipped("docs", "glossary.md").read_text(encoding="utf-8").splitlines():
-        cells = [cell.strip().replace("\\|", "|").replace("`", "") for cell in line.replace("\\|", "\0").split("|")]
-        cells = [cell.replace("\0", "|") for cell in cells]
-        if len(cells) == GLOSSARY_CELLS and cells[1] not in ("term", "---"):
-            term, unit, sign, meaning = cells[1:5]
-            said_ = f"{meaning}{f' ({unit})' if unit not in ('', '1') else ''}"
-            meanings |= {term: said_, **({sign: f"{term}: {said_}"} if sign else {})}
-    return meanings
-
-
-GLOSSARY_CELLS = 7
 ROUTES = (
     ("/", "GET", front),
     ("/enter", "POST", enter),
@@ -516,8 +497,8 @@ ROUTES = (
     ("/api/files", "PUT", upload),
     ("/api/files/{id}", "GET PUT DELETE", file),
     ("/api/sets", "PUT", arrange),
-    ("/api/sets/{id}/about", "PUT", describe_set),
-    ("/api/devices/{id}/about", "PUT", describe_device),
+    ("/api/sets/{id}/about", "PUT", describe),
+    ("/api/devices/{id}/about", "PUT", describe),
     ("/api/devices/{id}/check", "GET", check),
     ("/api/devices/{id}/fit", "POST", fit),
     ("/api/devices/{id}/plan", "POST", plan),

@@ -8,17 +8,16 @@ page must come from ours.
 
 import asyncio
 import contextlib
-import os
 import secrets
 import socket
 import sys
-import tempfile
 import time
 import webbrowser
 from collections.abc import AsyncIterator, Callable, Iterator
 from functools import partial
 from html import escape
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import FrameType
 
 import uvicorn
@@ -39,45 +38,36 @@ IDLE_S = 3600.0  # without anybody who looks, and without work
 MOST_CONNECTIONS = 100
 
 
-class Guard:
+def guarded(app: ASGIApp, port: int, cookie: str) -> ASGIApp:
     """Let in only requests to this host, from our own pages, by who holds the cookie; everything else gets 403."""
 
-    def __init__(self, app: ASGIApp, port: int, cookie: str) -> None:
-        self.app, self.cookie = app, cookie
-        self.host, self.name = f"{HOST}:{port}", cookie_name(port)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer or pass on."""
-        if scope["type"] == "lifespan":
-            await self.app(scope, receive, send)
+    async def let_in(scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": 1008})
             return
-        why = "no websockets" if scope["type"] != "http" else self.refusal(Request(scope))
-        if why:
-            refused = Response(f"shj-bayes bench: refused ({why})\n", 403, HEADERS, "text/plain")
-            if scope["type"] == "websocket":
-                await receive()
-                await send({"type": "websocket.close", "code": 1008})
-                return
-            await refused(scope, receive, send)
-            return
-        await self.app(scope, receive, send)
+        why = refusal(Request(scope), f"{HOST}:{port}", cookie_name(port), cookie) if scope["type"] == "http" else ""
+        answer: ASGIApp = Response(f"shj-bayes bench: refused ({why})\n", 403, HEADERS, "text/plain") if why else app
+        await answer(scope, receive, send)
 
-    def refusal(self, request: Request) -> str:
-        """Why a request is not for us; empty where it is."""
-        headers, reading = request.headers, request.method in ("GET", "HEAD")
-        origin, site = headers.get("origin"), headers.get("sec-fetch-site")
-        cookie = request.cookies.get(self.name, "").encode()
-        entering = request.url.path == "/enter"  # from the file that hands the token over, which has no origin
-        refusals = {
-            "another host": headers.getlist("host") != [self.host],
-            "not the way in": entering and (reading or origin not in (None, "null")),
-            "another origin": not entering and origin not in (None, f"http://{self.host}"),
-            "no origin": not entering and not reading and origin is None,
-            "another site": not entering and site not in (None, "same-origin", "none"),
-            "no token: open the bench by its command": not entering
-            and not secrets.compare_digest(cookie, self.cookie.encode()),
-        }
-        return next((why for why, refused in refusals.items() if refused), "")
+    return let_in
+
+
+def refusal(request: Request, host: str, name: str, cookie: str) -> str:
+    """Why a request is not for us; empty where it is. `name` is that of the cookie."""
+    headers, reading = request.headers, request.method in ("GET", "HEAD")
+    origin, site = headers.get("origin"), headers.get("sec-fetch-site")
+    known = secrets.compare_digest(request.cookies.get(name, "").encode(), cookie.encode())
+    entering = request.url.path == "/enter"  # from the file that hands the token over, which has no origin
+    refusals = {
+        "another host": headers.getlist("host") != [host],
+        "not the way in": entering and (reading or origin not in (None, "null")),
+        "another origin": not entering and origin not in (None, f"http://{host}"),
+        "no origin": not entering and not reading and origin is None,
+        "another site": not entering and site not in (None, "same-origin", "none"),
+        "no token: open the bench by its command": not entering and not known,
+    }
+    return next((why for why, refused in refusals.items() if refused), "")
 
 
 def application(bench: Bench, port: int) -> ASGIApp:
@@ -95,14 +85,12 @@ def application(bench: Bench, port: int) -> ASGIApp:
     routes = [Route(path, answered(handler), methods=methods.split()) for path, methods, handler in ROUTES]
     app = Starlette(routes=routes, lifespan=life)
     app.state.bench = bench
-    return Guard(app, port, bench.cookie)
+    return guarded(app, port, bench.cookie)
 
 
 @contextlib.contextmanager
 def way_in(bench: Bench) -> Iterator[Path]:
     """Give a file that only this user may read, which hands the token to a browser that opens it."""
-    place = Path(tempfile.mkdtemp(prefix="shj-bayes-bench-"))
-    path = place / "open.html"
     address = f"http://{HOST}:{bench.port}/enter"
     text = (
         '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
@@ -110,15 +98,11 @@ def way_in(bench: Bench) -> Iterator[Path]:
         f'<input type=hidden name=token value="{bench.token}"><button>Open the bench</button></form>'
         "<script>document.forms[0].submit()</script></body></html>"
     )
-    try:
-        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
+    with TemporaryDirectory(prefix="shj-bayes-bench-", ignore_cleanup_errors=True) as place:
+        path = Path(place, "open.html")
+        path.touch(0o600, exist_ok=False)
+        path.write_text(text, encoding="utf-8")
         yield path
-    finally:
-        with contextlib.suppress(OSError):
-            path.unlink(missing_ok=True)
-            place.rmdir()
 
 
 def opened(place: Path) -> Path:
@@ -132,22 +116,20 @@ def opened(place: Path) -> Path:
 
 def put_shortcut(folder: Path) -> str:
     """Put an entry that opens a bench on the desk, or in the home folder where there is no desk; say where it is."""
-    desk = next((d for d in (Path.home() / "Desktop", Path.home()) if d.is_dir()), Path.home())
+    desk = Path.home() / "Desktop" if (Path.home() / "Desktop").is_dir() else Path.home()
     place = str(folder.resolve())
     if any(c in place for c in '"\r\n%$`'):
         raise CampaignError(f"{folder.name}: a shortcut cannot hold the path {place!r}; move the folder, or rename it")
     run = f'"{PYTHON[0]}" {PYTHON[1]} -m shj_bayes bench "{place}"'
-    if sys.platform == "win32":
-        path, text = desk / "shj-bayes bench.bat", f"@echo off\r\n{run}\r\n"
-    elif sys.platform == "darwin":
-        path, text = desk / "shj-bayes bench.command", f"#!/bin/sh\nexec {run}\n"
-    else:
-        entry = f"[Desktop Entry]\nType=Application\nName=shj-bayes bench\nTerminal=true\nExec={run}\n"
-        path, text = desk / "shj-bayes-bench.desktop", entry
-    write_text(path, text)
+    entry = f"[Desktop Entry]\nType=Application\nName=shj-bayes bench\nTerminal=true\nExec={run}\n"
+    name, text = {
+        "win32": ("shj-bayes bench.bat", f"@echo off\r\n{run}\r\n"),
+        "darwin": ("shj-bayes bench.command", f"#!/bin/sh\nexec {run}\n"),
+    }.get(sys.platform, ("shj-bayes-bench.desktop", entry))
+    write_text(desk / name, text)
     if sys.platform != "win32":
-        path.chmod(0o755)
-    return f"{path}: opens a bench on {place}"
+        (desk / name).chmod(0o755)
+    return f"{desk / name}: opens a bench on {place}"
 
 
 def serve(folder: Path, *, browser: bool, tell: Callable[[str], None]) -> None:

@@ -8,6 +8,7 @@ import json
 import re
 import shutil
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import count
@@ -23,7 +24,7 @@ from shj_bayes.results.campaign import MAX_NOTE, SCHEMA, Connection
 MANIFEST, MEMORY, RECORDINGS = "campaign.toml", "bench/memory.json", "recordings"
 KEPT = "campaign-before-bench.toml"  # a manifest that somebody wrote by hand, as it was
 HEAD = "# Written by shj-bayes bench; the commands read it too.\n"
-MOST_FILES, MOST_NAME = 5000, 80
+MOST_FILES, MOST_NAME, MOST_TEXT = 5000, 80, 400
 READING = ("columns", "units", "rate_Hz", "sheet", "runs")  # options of reading, which files of a form share
 CHOSEN = (*READING, "model", "noise", "priors")  # options that a page may set
 CONNECTION = {name: get_args(hint)[0] for name, hint in get_type_hints(Connection).items()}
@@ -35,12 +36,13 @@ _UNSAFE = re.compile(r"[^\w .()+-]+")
 
 
 @dataclass(eq=False)
-class BenchDevice:
-    """A device of the manifest."""
+class Entry:
+    """A set of the manifest with its devices, or a device with its recordings."""
 
     id: str
-    content: dict[str, Any]  # its table
-    files: list[str] = field(default_factory=list)  # ids of its recordings, in the order they were run
+    content: dict[str, Any]  # its table without what is below it
+    files: list[str] = field(default_factory=list)  # ids of the recordings of a device, in the order they were run
+    devices: "list[Entry]" = field(default_factory=list)
 
     @property
     def name(self) -> str:
@@ -50,44 +52,26 @@ class BenchDevice:
     def choose(self, options: Mapping[str, Any], known: tuple[str, ...] = CHOSEN) -> None:
         """Choose all of its options that are `known`; empty ones are left out."""
         kept = {name: value for name, value in self.content.get("options", {}).items() if name not in known}
-        _put(self.content, "options", kept | _plain_options(options, known))
+        self._put("options", kept | _given(options, dict.fromkeys(known, _plain)))
         self.content.pop("runs", None)
 
     def describe(self, said: Mapping[str, Any]) -> None:
-        """Set what is known of it: options of its fit, and a note."""
+        """Set what is said of it: options of the fit of a device, connection as tested of a set, and a note."""
         if "options" in said:
             self.choose(said["options"])
+        if "connection" in said:
+            self._put("connection", _given(said["connection"] or {}, CONNECTION))
         if "note" in said:
-            _put(self.content, "note", _note(said["note"]))
+            self._put("note", plain_lines(str(said["note"] or ""))[:MAX_NOTE].strip())
+
+    def _put(self, key: str, value: Any) -> None:
+        self.content.pop(key, None)
+        if value:
+            self.content[key] = value
 
 
-@dataclass(eq=False)
-class BenchSet:
-    """A set of the manifest."""
-
-    id: str
-    content: dict[str, Any]  # its table without its devices
-    devices: list[BenchDevice] = field(default_factory=list)
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        return str(self.content["name"])
-
-    def describe(self, said: Mapping[str, Any]) -> None:
-        """Set what is known of it: its connection as tested, and a note."""
-        connection = {}
-        for name, value in dict(said.get("connection") or {}).items():
-            if name not in CONNECTION:
-                raise CampaignError(f"a connection has no {shown(name, 30)}; known are {', '.join(CONNECTION)}")
-            if value in ("", None):
-                continue
-            try:
-                connection[name] = CONNECTION[name](value)
-            except (TypeError, ValueError) as error:
-                raise CampaignError(f"{name} = {shown(value)} is no number") from error
-        _put(self.content, "connection", connection)
-        _put(self.content, "note", _note(said.get("note")))
+def _new(numbers: Iterator[int], kind: str, content: dict[str, Any], files: Iterable[str] = ()) -> Entry:
+    return Entry(f"{kind}{next(numbers)}", content, [*files])
 
 
 class Session:
@@ -96,7 +80,7 @@ class Session:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.files: dict[str, Path] = {}
-        self.sets: list[BenchSet] = []
+        self.sets: list[Entry] = []
         self.forms = _forms(folder)
         self.top: dict[str, Any] = {"schema": SCHEMA, "name": plain_name(folder.name)}
         self._numbers = count(1)
@@ -115,21 +99,18 @@ class Session:
             if not text.startswith(HEAD):
                 shutil.copyfile(manifest, folder / KEPT)
         known = {path.resolve() for path in self.files.values()}
-        loose = sorted((folder / RECORDINGS).iterdir()) if (folder / RECORDINGS).is_dir() else []
-        for path in loose:
+        for path in sorted((folder / RECORDINGS).glob("*")):
             if path.is_file() and not path.name.startswith(".") and path.resolve() not in known:
                 self._id_of(path)
 
     def take(self, sets: Iterable[Mapping[str, Any]], place: Callable[[str], Path]) -> None:
         """Take tables of a manifest in; `place` gives the path of a recording by how they name it."""
         for table in sets:
-            own = BenchSet(f"s{next(self._numbers)}", {k: v for k, v in table.items() if k != "device"})
-            for device in table.get("device", ()):
-                files = [self._id_of(place(str(name))) for name in device["recordings"]]
-                one = BenchDevice(f"d{next(self._numbers)}", dict(device), files)
-                assert one.name
-                own.devices.append(one)
-            assert own.name
+            content = {key: value for key, value in table.items() if key != "device"}
+            own = _new(self._numbers, "s", content | {"name": str(table["name"])})
+            for one in table.get("device", ()):
+                files = [self._id_of(place(str(name))) for name in one["recordings"]]
+                own.devices.append(_new(self._numbers, "d", one | {"name": str(one["name"])}, files))
             self.sets.append(own)
 
     def _id_of(self, path: Path) -> str:
@@ -139,15 +120,15 @@ class Session:
         return key
 
     @property
-    def devices(self) -> Iterator[tuple[BenchSet, BenchDevice]]:
+    def devices(self) -> Iterator[tuple[Entry, Entry]]:
         """All devices, each with its set."""
         return ((group, device) for group in self.sets for device in group.devices)
 
-    def device(self, key: str) -> tuple[BenchSet, BenchDevice]:
+    def device(self, key: str) -> tuple[Entry, Entry]:
         """Find a device by its id, with its set; `CampaignError` where there is none."""
         return _here(next((pair for pair in self.devices if pair[1].id == key), None), "device", key)
 
-    def group(self, key: str) -> BenchSet:
+    def group(self, key: str) -> Entry:
         """Find a set by its id; `CampaignError` where there is none."""
         return _here(next((one for one in self.sets if one.id == key), None), "set", key)
 
@@ -160,25 +141,22 @@ class Session:
 
         A file of a form whose columns were chosen before is read with them.
         """
-        key = self._id_of(path)
-        stem = path.name.removesuffix(".gz").rpartition(".")[0] or path.name
+        key, stem = self._id_of(path), _stem(path) or path.name
         parts = _RUN.match(stem)
         name = plain_name(parts[1] if parts and parts[1] else stem)
-        if parts:
-            mine = next((device for _, device in self.devices if device.name == name), None)
-            if mine is not None and all(self.files[one].parent == self.folder / RECORDINGS for one in mine.files):
-                mine.files = sorted([*mine.files, key], key=lambda one: _number(self.files[one]))
-                self.write()
-                return key
-        numbered, taken = _NUMBERED.match(name), {device.name for _, device in self.devices}
-        set_name = plain_name(numbered[1] or numbered[2]) if numbered else "Set 1"
-        own = next((one for one in self.sets if one.name == set_name), None)
-        if own is None:
-            own = BenchSet(f"s{next(self._numbers)}", {"name": set_name})
-            self.sets.append(own)
-        own.devices.append(BenchDevice(f"d{next(self._numbers)}", {"name": _free_name(name, taken)}, [key]))
-        if form in self.forms:
-            self.set_reading(key, self.forms[form])
+        mine = next((device for _, device in self.devices if parts and device.name == name), None)
+        if mine is not None and all(self.files[one].parent == self.folder / RECORDINGS for one in mine.files):
+            mine.files = sorted([*mine.files, key], key=lambda one: _number(self.files[one]))
+        else:
+            numbered, taken = _NUMBERED.match(name), {device.name for _, device in self.devices}
+            set_name = plain_name(numbered[1] or numbered[2]) if numbered else "Set 1"
+            own = next((one for one in self.sets if one.name == set_name), None)
+            if own is None:
+                own = _new(self._numbers, "s", {"name": set_name})
+                self.sets.append(own)
+            own.devices.append(_new(self._numbers, "d", {"name": _free_name(name, taken)}, [key]))
+            if form in self.forms:
+                self.set_reading(key, self.forms[form])
         self.write()
         return key
 
@@ -201,36 +179,37 @@ class Session:
             if key in device.files:
                 device.choose(options, READING)
         if form:
-            self.forms[form] = _plain_options(options, READING)
+            self.forms[form] = _given(options, dict.fromkeys(READING, _plain))
         self.write()
 
     def arrange(self, wanted: Any) -> None:
-        """Put files into devices and devices into sets, as a list of sets with ids says; names come with it."""
+        """Put files into devices and devices into sets, as a list of sets with ids says; names come with it.
+
+        An arrangement that no manifest could hold is refused before anything of it is taken.
+        """
+        known = {one.id: one for pair in self.devices for one in pair}
+
+        def entry(kind: str, said: Any, files: Iterable[str] = ()) -> Entry:
+            key, name = str(said.get("id")), {"name": plain_name(str(said["name"]))}
+            old = known.get(key) if key.startswith(kind) else None
+            return Entry(key, old.content | name, [*files]) if old else _new(self._numbers, kind, name, files)
+
         try:
-            sets = [
-                (
-                    str(entry.get("id")),
-                    plain_name(str(entry["name"])),
-                    [
-                        (str(one.get("id")), plain_name(str(one["name"])), [str(key) for key in one["files"]])
-                        for one in entry["devices"]
-                    ],
-                )
-                for entry in wanted
-            ]
+            sets = [(entry("s", one), [entry("d", d, map(str, d["files"])) for d in one["devices"]]) for one in wanted]
         except (TypeError, KeyError, AttributeError) as error:
             raise CampaignError(f"an arrangement that cannot be read ({type(error).__name__})") from error
-        _check([(name, devices) for _, name, devices in sets], self.files)
-        known, groups = {device.id: device for _, device in self.devices}, {one.id: one for one in self.sets}
-        self.sets = []
-        for key, name, wanted_devices in sets:
-            own = groups.get(key) or BenchSet(f"s{next(self._numbers)}", {})
-            own.content["name"], own.devices = name, []
-            for device_key, device_name, files in wanted_devices:
-                device = known.get(device_key) or BenchDevice(f"d{next(self._numbers)}", {})
-                device.content["name"], device.files = device_name, files
-                own.devices += [device] if files else []
-            self.sets += [own] if own.devices else []
+        for group, devices in sets:
+            group.devices = [device for device in devices if device.files]
+            if twice := _twice(device.name for device in group.devices):
+                raise CampaignError(f"two devices of the set '{group.name}' are called '{twice}'; rename one of them")
+        if _twice(group.name for group, _ in sets):
+            raise CampaignError("two sets have the same name; rename one of them")
+        used = [key for _, devices in sets for device in devices for key in device.files]
+        for key in used:
+            self.file(key)
+        if _twice(used):
+            raise CampaignError("a file belongs to one device alone")
+        self.sets = [group for group, _ in sets if group.devices]
         self.write()
 
     def write(self) -> None:
@@ -241,7 +220,7 @@ class Session:
             (self.folder / MANIFEST).unlink(missing_ok=True)
             return
 
-        def written(device: BenchDevice) -> list[str]:
+        def written(device: Entry) -> list[str]:
             """Paths below the folder, with forward slashes; others as they are."""
             paths = [self.files[key] for key in device.files]
             return [str(p.relative_to(self.folder).as_posix() if p.is_relative_to(self.folder) else p) for p in paths]
@@ -289,9 +268,7 @@ def bring(session: Session, manifest: Path) -> None:
     """Copy the recordings of a manifest that ships with the program, with its sets and devices."""
 
     def copied(name: str) -> Path:
-        target = place_for(session, name)
-        shutil.copyfile(manifest.parent / name, target)
-        return target
+        return Path(shutil.copyfile(manifest.parent / name, place_for(session, name)))
 
     tables, taken = tomllib.loads(manifest.read_text(encoding="utf-8"))["set"], {one.name for one in session.sets}
     for table in tables:
@@ -316,26 +293,8 @@ def place_for_history(folder: Path, name: str) -> Path:
 
 def _forms(folder: Path) -> dict[str, dict[str, Any]]:
     """Read the options that were chosen for each form of file."""
-    memory = read_json(folder / MEMORY, CampaignError) if (folder / MEMORY).is_file() else {}
-    forms = (memory.get("forms") if isinstance(memory, dict) else None) or {}
-    tables = {str(form): chosen if isinstance(chosen, dict) else {} for form, chosen in forms.items()}
-    return {form: {name: value for name, value in own.items() if name in READING} for form, own in tables.items()}
-
-
-def _check(sets: list[tuple[str, list[tuple[Any, str, list[str]]]]], known: Mapping[str, Path]) -> None:
-    """Refuse an arrangement that no manifest could hold, before anything of it is taken."""
-    for set_name, devices in sets:
-        names = [name for _, name, files in devices if files]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice:
-            raise CampaignError(f"two devices of the set '{set_name}' are called '{twice}'; rename one of them")
-    if len({name for name, _ in sets}) < len(sets):
-        raise CampaignError("two sets have the same name; rename one of them")
-    used = [key for _, devices in sets for *_, files in devices for key in files]
-    for key in used:
-        _here(known.get(key), "file", key)
-    if len(set(used)) < len(used):
-        raise CampaignError("a file belongs to one device alone")
+    forms = read_json(folder / MEMORY, CampaignError).get("forms", {}) if (folder / MEMORY).is_file() else {}
+    return {form: {name: value for name, value in own.items() if name in READING} for form, own in forms.items()}
 
 
 def _here(found: Found | None, what: str, key: str) -> Found:
@@ -345,35 +304,42 @@ def _here(found: Found | None, what: str, key: str) -> Found:
     return found
 
 
+def _twice(words: Iterable[str]) -> str | None:
+    """Find a word that is there more than once."""
+    return next((word for word, n in Counter(words).items() if n > 1), None)
+
+
 def _free_name(name: str, taken: Container[str]) -> str:
     return next(one for n in count(1) if (one := name if n == 1 else f"{name} ({n})") not in taken)
 
 
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(".gz").rpartition(".")[0]
+
+
 def _number(path: Path) -> tuple[int, str]:
-    parts = _RUN.match(path.name.removesuffix(".gz").rpartition(".")[0])
+    parts = _RUN.match(_stem(path))
     return int(parts[2][:9]) if parts else 0, path.name
 
 
-def _put(table: dict[str, Any], key: str, value: Any) -> None:
-    """Put a value into a table, or take the key out where there is none."""
-    table.pop(key, None)
-    if value:
-        table[key] = value
-
-
-def _note(said: Any) -> str:
-    return plain_lines(str(said or ""))[:MAX_NOTE].strip()
-
-
-def _plain_options(options: Any, known: tuple[str, ...]) -> dict[str, Any]:
-    """Options as a manifest holds them; empty ones are left out."""
-    chosen: dict[str, Any] = {}
-    for name, value in dict(options).items():
+def _given(said: Any, known: Mapping[str, Callable[[Any], Any]]) -> dict[str, Any]:
+    """Give what a page says of `known` names, as a manifest holds it; empty values are left out."""
+    out = {}
+    for name, value in dict(said).items():
         if name not in known:
-            raise CampaignError(f"{shown(name, 30)} is no option here; known are {', '.join(known)}")
-        if value in ("", None):
-            continue
-        if not isinstance(value, str | int | float) or isinstance(value, bool):
-            raise CampaignError(f"{name} = {shown(value)}; it needs a text or a number")
-        chosen[name] = plain_text(value)[:400] if isinstance(value, str) else value
-    return chosen
+            raise CampaignError(f"{shown(name, 30)} is not known here; known are {', '.join(known)}")
+        if value not in ("", None):
+            try:
+                out[name] = known[name](value)
+            except (TypeError, ValueError) as error:
+                raise CampaignError(f"{name} = {shown(value)} is neither a number nor a text that it may be") from error
+    return out
+
+
+def _plain(value: Any) -> str | int | float:
+    """Value of an option: a text without control characters, or a number."""
+    if isinstance(value, str):
+        return plain_text(value)[:MOST_TEXT]
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return value
+    raise TypeError

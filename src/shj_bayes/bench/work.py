@@ -116,9 +116,8 @@ def overview(folder: Path, tell: Tell) -> Told:
     told = {one.name: (one.connection, one.note or "") for one in record.sets} if record else {}
     now = {device.set_name: (device.connection, device.set_note) for device in manifest.devices}
     pooled = there and done == fitted and told == now
-    pages = [name for name in ("report", "margins") if (folder / f"{name}.html").is_file()]
-    own = {"pooled": pooled, "changed": there and not pooled, "pages": pages if pooled else []}
-    return {"error": "", "devices": devices, **own}
+    pages = [name for name in ("report", "margins") if pooled and (folder / f"{name}.html").is_file()]
+    return NOTHING | {"devices": devices, "pooled": pooled, "changed": there and not pooled, "pages": pages}
 
 
 def _state(folder: Path, device: Device) -> Told:
@@ -130,20 +129,19 @@ def _state(folder: Path, device: Device) -> Told:
         return told
     record: FitRecord = kept.record
     left, looked = find(LeftOver, place), find(DiagnosisRecord, place / DIAGNOSIS)
-    unit = force_unit(record)
-    numbers = [
-        {"name": row.name, "value": words.rounded(row.q50, row.sd), "interval": words.interval(row), "unit": row.unit}
-        for row in map(unit.row, record.parameters)
-        if row.name not in record.undetermined
-    ]
-    pages = [("report", "report.html"), ("diagnosis", f"{DIAGNOSIS}/diagnosis.html"), ("plan", "next/plan.html")]
+    rows = map(force_unit(record).row, record.parameters)
+    pages = {"report": "report.html", "diagnosis": f"{DIAGNOSIS}/diagnosis.html", "plan": "next/plan.html"}
     return told | {
         "fit": record.verdict,
         "reasons": list(record.reasons),
         "left": words.left_words(left, record.model.effects) if left else "",
         "diagnosis": looked.verdict if looked else "",
-        "numbers": numbers,
-        "pages": [name for name, page in pages if (place / page).is_file()],
+        "numbers": [
+            {"name": r.name, "value": words.rounded(r.q50, r.sd), "interval": words.interval(r), "unit": r.unit}
+            for r in rows
+            if r.name not in record.undetermined
+        ],
+        "pages": [name for name, page in pages.items() if (place / page).is_file()],
         "folder": device.folder,
     }
 
@@ -156,32 +154,25 @@ def device_in(folder: Path, set_name: str, name: str) -> Device:
 def check(folder: Path, set_name: str, name: str, tell: Tell) -> Told:
     """Say what the recordings of a device can tell, with its most probable loop; what stands in the way of a fit."""
     device = device_in(folder, set_name, name)
-    how = device.options
+    how, told = device.options, {"passed": False, "lines": [], "rows": []}
     try:
         recordings = read_device(device.recordings, how)
     except RecordingError as error:
-        return {"passed": False, "reasons": [str(error)], "lines": [], "rows": []}
+        return told | {"reasons": [str(error)]}
     found = [f for one in recordings for f in one.findings]
-    blocking = [f.message for f in found if f.severity == "unusable"]
-    if blocking:
-        pairs = [(one, _motion(one)) for one in recordings]
-        return {"passed": False, "reasons": blocking, "lines": [], "viewer": recording_viewer(pairs), "rows": []}
+    if blocking := [f.message for f in found if f.severity == "unusable"]:
+        return told | {"reasons": blocking, "viewer": recording_viewer([(one, _motion(one)) for one in recordings])}
     runs = runs_of(recordings)
     said, forces_kN = first_answer(runs, how.device_model(len(runs), priors_of(how)))
-    reasons = doubt_lines(said)
-    rmse = "" if said.rmse_kN is None else f"{said.rmse_kN:.3g} kN"
-    return {
-        "passed": not reasons,
-        "reasons": reasons,
-        "warnings": [f.message for f in found if f.severity == "warning"],
-        "lines": check_lines(said, how.priors),
-        "confusions": confusion_rows(said),
-        "rows": parameter_rows(said),
-        "rmse": rmse,
-        "headline": headline(said),
-        "half_cycles": said.half_cycles,
-        "viewer": recording_viewer([(run.recording, run.motion) for run in runs], forces_kN),
-    }
+    return (
+        told
+        | answer_words(said, how.priors)
+        | {
+            "passed": not said.doubts,
+            "warnings": [f.message for f in found if f.severity == "warning"],
+            "viewer": recording_viewer([(run.recording, run.motion) for run in runs], forces_kN),
+        }
+    )
 
 
 DOUBTS = {
@@ -198,15 +189,51 @@ BASE_LAW = "base law"
 MOST_CONFUSIONS = 6
 
 
-def _unit_of(said: Identifiability) -> ForceUnit:
-    """Choose the unit of forces by the sliding force."""
-    return unit_for(next((row.mean for row in said.parameters if row.name == "Fy"), None))
+def answer_words(said: Identifiability, family: str) -> Told:
+    """Say what recordings can tell of a device; `family` is that of the priors.
+
+    ``reasons`` why a fit would say nothing of it, ``headline``, ``lines`` to mind before a fit, ``rows`` of a table of
+    the parameters (what each is, its value, its width after and before the test), ``confusions``: what this
+    displacement history cannot tell apart, with the cheapest test that would.
+    """
+    by_name = {row.name: row for row in said.parameters}
+    unit = unit_for(by_name["Fy"].mean if "Fy" in by_name else None)
+    rows = []
+    for row in said.parameters:
+        name, factor = unit.of(row.unit)
+        sd = factor * row.sd
+        rows.append(
+            {
+                "name": row.name,
+                "meaning": meaning_of(row.name).meaning,
+                "unit": "" if name == "1" else name,
+                "value": words.rounded(factor * row.mean, sd),
+                "expected": f"{words.rounded(factor * row.q05, sd)} to {words.rounded(factor * row.q95, sd)}",
+                "before": f"{words.short(factor * row.prior_q05)} to {words.short(factor * row.prior_q95)}",
+                "narrowed": f"{100.0 * row.narrowed:.2g} %",
+            }
+        )
+    known, confusions = catalogue(), []
+    for one in said.confusions[:MOST_CONFUSIONS]:
+        first, second = ("the base law" if name == BASE_LAW else known[name].title for name in one.pair)
+        test = next(known[name].next_test for name in one.pair if name in known)
+        confusions.append(
+            {"first": first, "second": second, "alike": f"{100.0 * abs(one.correlation):.0f} %", "test": test}
+        )
+    return {
+        "reasons": [DOUBTS[doubt] for doubt in said.doubts],
+        "headline": _headline(said, unit) if said.parameters else "",
+        "lines": _lines(said, unit, family),
+        "rows": rows,
+        "confusions": confusions,
+        "rmse": "" if said.rmse_kN is None else f"{said.rmse_kN:.3g} kN",
+        "half_cycles": said.half_cycles,
+    }
 
 
-def headline(said: Identifiability) -> str:
+def _headline(said: Identifiability, unit: ForceUnit) -> str:
     """Say in a sentence at which force the device slides, and how stiff it is before."""
-    unit, rows = _unit_of(said), {row.name: row for row in said.parameters}
-    K, Fy = rows["K"], rows["Fy"]
+    K, Fy = (next(row for row in said.parameters if row.name == name) for name in ("K", "Fy"))
     at = f", at about {words.short(said.one_speed_mm_s)} mm/s" if said.one_speed_mm_s is not None else ""
     least = "" if said.least_kN is None else unit.shown(said.least_kN)
     slides = f"Slides at {least} or more as tested{at} (the smallest plateau of the last run). " if least else ""
@@ -215,36 +242,10 @@ def headline(said: Identifiability) -> str:
     return f"{slides}Fy, the force at standstill in the first run: {unit.shown(Fy.mean)}; initial stiffness: {stiff}."
 
 
-def parameter_rows(said: Identifiability) -> list[dict[str, str]]:
-    """Give the rows of a table: what each parameter is, its value, its width after and before the test."""
-    unit, out = _unit_of(said), []
-    for row in said.parameters:
-        name, factor = unit.of(row.unit)
-        low, high, sd = factor * row.q05, factor * row.q95, factor * row.sd
-        out.append(
-            {
-                "name": row.name,
-                "meaning": meaning_of(row.name).meaning,
-                "unit": "" if name == "1" else name,
-                "value": words.rounded(factor * row.mean, sd),
-                "expected": f"{words.rounded(low, sd)} to {words.rounded(high, sd)}",
-                "before": f"{words.short(factor * row.prior_q05)} to {words.short(factor * row.prior_q95)}",
-                "narrowed": f"{100.0 * row.narrowed:.2g} %",
-            }
-        )
-    return out
-
-
-def doubt_lines(said: Identifiability) -> list[str]:
-    """Say why a fit would say nothing of the device; empty where it would."""
-    return [DOUBTS[doubt] for doubt in said.doubts]
-
-
-def check_lines(said: Identifiability, family: str) -> list[str]:
-    """Say what to mind before a fit; `family` is that of the priors."""
-    unit, out = _unit_of(said), []
+def _lines(said: Identifiability, unit: ForceUnit, family: str) -> list[str]:
+    """Say what to mind before a fit."""
     units = {row.name: unit.of(row.unit) for row in said.parameters}
-    out += [words.remark(one, *units[one.parameter], family=family) for one in said.remarks]
+    out = [words.remark(one, *units[one.parameter], family=family) for one in said.remarks]
     if said.one_speed_mm_s is not None:
         out.append(words.alias_words(said.one_speed_mm_s))
     if said.few_readings:
@@ -261,24 +262,13 @@ def check_lines(said: Identifiability, family: str) -> list[str]:
     return out
 
 
-def confusion_rows(said: Identifiability) -> list[dict[str, str]]:
-    """Give what this displacement history cannot tell apart, each with the cheapest test that would."""
-    known, out = catalogue(), []
-    for one in said.confusions[:MOST_CONFUSIONS]:
-        first, second = ("the base law" if name == BASE_LAW else known[name].title for name in one.pair)
-        test = next(known[name].next_test for name in one.pair if name in known)
-        alike = f"{100.0 * abs(one.correlation):.0f} %"
-        out.append({"first": first, "second": second, "alike": alike, "test": test})
-    return out
-
-
 def fit(folder: Path, set_name: str, name: str, threads: int, tell: Tell) -> Told:
     """Fit and diagnose one device as a campaign does."""
-
-    def step(line: str) -> None:
-        tell(None, line)
-
-    work = Work(threads=threads, tell=step, watch=lambda share, words: tell(share, f"sampling: {words}"))
+    work = Work(
+        threads=threads,
+        tell=lambda line: tell(None, line),
+        watch=lambda share, said: tell(share, f"sampling: {said}"),
+    )
     outcome = fit_one(device_in(folder, set_name, name), folder, work)
     if outcome.failures and outcome.status == "failed":
         raise CampaignError(outcome.failures[0])
@@ -314,19 +304,14 @@ def _pooled(folder: Path, stamp: str, request: MarginOptions) -> PooledTests:
     return pooled_tests(folder, request)
 
 
+DRIFT = ("drift", "storey_height", "lever_arm", "brace_angle_deg")
+TESTS = ("amplitude_mm", "speed_mm_s", "cycles", "history", "extrapolate")  # options that need other virtual tests
+
+
 def card(folder: Path, asked: Mapping[str, Any], tell: Tell) -> Told:
     """Draw up the card of each set; what needs no new pooling comes from what is kept in memory."""
     request = _request(asked)
-    drawn = MarginOptions(
-        **{
-            name: getattr(request, name)
-            for name in (
-                *("amplitude_mm", "speed_mm_s", "cycles", "history", "drift", "storey_height", "lever_arm"),
-                *("brace_angle_deg", "extrapolate"),
-            )
-            if request.drift is not None or name not in ("storey_height", "lever_arm", "brace_angle_deg")
-        }
-    )
+    drawn = MarginOptions(**{name: getattr(request, name) for name in (*TESTS, *(DRIFT if request.drift else ()))})
     stamp = str(digests(folder, [*POPULATION, "campaign.json", "bench/history.*"]))
     sheet = sheet_of(_pooled(folder, stamp, drawn), request)
     return {"cards": shown_cards(sheet), "warnings": list(sheet.warnings), "history": sheet.history}

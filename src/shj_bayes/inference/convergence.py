@@ -266,15 +266,15 @@ class Widening:
         return np.asarray(centre + (chains - centre) * self.factor)
 
 
-def widening_of(posterior: Likelihood, start: Start) -> Widening:
+def widening_of(likelihood: Likelihood, start: Start) -> Widening:
     """Compare the width of a posterior with the scatter from cycle to cycle at its top."""
-    scores, information = _scores(posterior, start), _information(posterior, start)
-    sd, n_law = np.sqrt(np.diag(start.covariance)), posterior.model.n_law
-    told = posterior.model.predicted
+    scores, information = _scores(likelihood, start), _information(likelihood, start)
+    sd, n_law = np.sqrt(np.diag(start.covariance)), likelihood.model.n_law
+    told = likelihood.model.predicted
     law = start.covariance[:n_law, :n_law]
     scatter, factor = np.zeros(sd.size), np.ones(sd.size)
     n_pieces = 0
-    for pieces in (cycles_through([run.motion.n_half for run in posterior.runs]), _stretches(posterior)):
+    for pieces in (cycles_through([run.motion.n_half for run in likelihood.runs]), _stretches(likelihood)):
         n = int(pieces[-1]) + 1
         if n < FEWEST:
             continue
@@ -292,27 +292,27 @@ def widening_of(posterior: Likelihood, start: Start) -> Widening:
         factor = np.maximum(factor, np.where(told & (ratio > limit), ratio, 1.0))
     # The prior holds what the cycles do not: no interval need be wider than its own.
     factor = np.minimum(factor, np.maximum(1.0, 1.0 / sd))
-    return Widening(posterior.model.names, factor, scatter, n_pieces)
+    return Widening(likelihood.model.names, factor, scatter, n_pieces)
 
 
-def _scores(posterior: Likelihood, start: Start) -> FloatArray:
+def _scores(likelihood: Likelihood, start: Start) -> FloatArray:
     """Give the derivatives of each half-cycle's log likelihood after the unbounded parameters, shape (n_half, d)."""
     width = STEP * np.sqrt(np.diag(start.covariance))
     points = np.concatenate([start.free + np.diag(width), start.free - np.diag(width)])
-    value = posterior.log_likelihood_by_half_cycle(posterior.model.laws.natural(points))
+    value = likelihood.log_likelihood_by_half_cycle(likelihood.model.laws.natural(points))
     above, below = np.split(value, 2)
     return np.asarray(((above - below) / (2.0 * width[:, None])).T)
 
 
-def _information(posterior: Likelihood, start: Start) -> FloatArray:
+def _information(likelihood: Likelihood, start: Start) -> FloatArray:
     """Give what each half-cycle is expected to tell of the parameters of the law, shape (n_half, n_law, n_law)."""
-    model, out = posterior.model, []
-    theta = posterior.model.laws.natural(start.free[None])
+    model, out = likelihood.model, []
+    theta = likelihood.model.laws.natural(start.free[None])
     noise = {name: float(values[0]) for name, values in model.noise_values(theta).items()}
     width = STEP * np.sqrt(np.diag(start.covariance))[: model.n_law]
     moves = np.eye(start.free.size)[: model.n_law] * width[:, None]
-    around = posterior.model.laws.natural(np.concatenate([start.free + moves, start.free - moves]))
-    for part in posterior.blocks:
+    around = likelihood.model.laws.natural(np.concatenate([start.free + moves, start.free - moves]))
+    for part in likelihood.blocks:
         above, below = np.split(part.residual_and_slope(part.force(model, around))[0], 2)
         slope = part.residual_and_slope(part.force(model, theta))[1][0]
         rows, _ = whiten(model.noise, noise, ((above - below) / (2.0 * width[:, None])).T, slope, part.timing)
@@ -336,10 +336,10 @@ def cycles_through(n_half: Sequence[int], width: int = 2) -> IntArray:
     return np.concatenate(out)
 
 
-def _stretches(posterior: Likelihood) -> IntArray:
+def _stretches(likelihood: Likelihood) -> IntArray:
     """Stretch of neighbouring half-cycles of equal amplitude that each half-cycle belongs to."""
-    amplitudes = [history.amplitude_mm[history.motion.start[:-1]] for history in posterior.histories]
-    largest = posterior.histories[0].half_stroke_mm
+    amplitudes = [history.amplitude_mm[history.motion.start[:-1]] for history in likelihood.histories]
+    largest = likelihood.histories[0].half_stroke_mm
     run = np.concatenate([np.full(a.size, i) for i, a in enumerate(amplitudes)])
     place = np.round(np.concatenate(amplitudes) / (SAME_AMPLITUDE * largest))
     return np.concatenate([[0], np.cumsum((np.diff(place) != 0) | (np.diff(run) != 0))])

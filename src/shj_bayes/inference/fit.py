@@ -58,7 +58,7 @@ DEFAULT_PLAN = SamplingPlan()
 class Fit:
     """A finished fit."""
 
-    posterior: Likelihood
+    likelihood: Likelihood
     groups: Mapping[str, Group]  # content of ``posterior.nc``
     figures: Diagnostics
     widening: Widening  # how the intervals compare with the scatter from cycle to cycle
@@ -113,14 +113,14 @@ def fit(
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / CHECKPOINT
     with told_when_slow(plan.progress):
-        posterior, start = find_start(make_likelihood(runs, model), threads=plan.threads, tops=plan.tops)
+        likelihood, start = find_start(make_likelihood(runs, model), threads=plan.threads, tops=plan.tops)
     states, figures = run_ensembles(
-        posterior, posterior.model.names, start, plan, fingerprint=posterior.fingerprint, path=path
+        likelihood, likelihood.model.names, start, plan, fingerprint=likelihood.fingerprint, path=path
     )
-    converged, widening = judge(figures), widening_of(posterior, start)
+    converged, widening = judge(figures), widening_of(likelihood, start)
     kept = np.stack([state.chain[figures.n_burn :].reshape(-1, start.free.size) for state in states])
     heights = np.stack([state.log_posterior[figures.n_burn :].ravel() for state in states])
-    weights, tail = weights_of_all_samples(posterior, start, kept, plan.threads)
+    weights, tail = weights_of_all_samples(likelihood, start, kept, plan.threads)
     if tail < PARETO_LIMIT:
         some = evenly_spread(weights)
         kept, heights = np.take_along_axis(kept, some[:, :, None], axis=1), np.take_along_axis(heights, some, axis=1)
@@ -128,16 +128,16 @@ def fit(
         figures = replace(figures, ess_bulk=worth * figures.ess_bulk, ess_tail=worth * figures.ess_tail)
     verdict = with_widening(converged, widening, tail)
     shown = widening.spread(kept, kept.reshape(-1, kept.shape[-1]).mean(axis=0))
-    natural = posterior.model.laws.natural(shown)
-    table = store.summary(posterior.model, figures, natural)
-    groups = store.groups_of(posterior, shown, kept, heights, plan.seed, LIBRARY)
+    natural = likelihood.model.laws.natural(shown)
+    table = store.summary(likelihood.model, figures, natural)
+    groups = store.groups_of(likelihood, shown, kept, heights, plan.seed, LIBRARY)
     record = store.fit_record(
-        posterior, figures, widening, verdict, table, pareto_k=tail,
-        device=name, seed=plan.seed, key=key, convergence=converged.word, remarks=remarks_of(posterior.model, natural),
+        likelihood, figures, widening, verdict, table, pareto_k=tail,
+        device=name, seed=plan.seed, key=key, convergence=converged.word, remarks=remarks_of(likelihood.model, natural),
     )  # fmt: skip
     if folder is not None:
         record = store.write_fit(folder, groups, record)
-    return Fit(posterior, groups, figures, widening, verdict, record)
+    return Fit(likelihood, groups, figures, widening, verdict, record)
 
 
 def with_widening(verdict: FitVerdict, widening: Widening, tail: float = 0.0) -> FitVerdict:
@@ -162,34 +162,37 @@ def with_widening(verdict: FitVerdict, widening: Widening, tail: float = 0.0) ->
 
 
 FINER = 32.0  # times shorter than the averages that are sampled: averages that stand for all samples
-N_HELD = 100  # draws at which both densities are evaluated, and at least four for each number that is fitted to them
+N_HELD = 200  # draws at which both densities are evaluated, and at least four for each number that is fitted to them
 PARETO_LIMIT = 0.7
 
 
 def weights_of_all_samples(
-    posterior: Likelihood, start: Start, draws: FloatArray, threads: int = 1
+    likelihood: Likelihood, start: Start, draws: FloatArray, threads: int = 1
 ) -> tuple[FloatArray, float]:
     """Weights that take draws from averages of the samples to all samples, and Pareto k of the weights.
 
     Averages leave out what the samples within each say of the law: means move by up to 0.3 standard deviations at 20
-    Hz, by more at higher rates. The log ratio of both likelihoods is nearly a parabola: it is evaluated at some draws
-    and smoothed by least squares for all. The noise keeps its most probable size, which is that of the averages
-    (decision 0010); where samples scatter more within them, by hum say, what they tell counts as much less.
+    Hz, by more at higher rates. The log ratio of both likelihoods is smooth: it is evaluated at some draws, and a
+    polynomial that is fitted to these by least squares (all of second degree, and cubes: a sharp knee has a long tail)
+    gives it for all. The noise keeps its most probable size, which is that of the averages (decision 0010); where
+    samples scatter more within them, by hum say, what they tell counts as much less.
 
     `draws` are unbounded, shape (n_ensembles, n, d); the weights are of shape (n_ensembles, n) with mean 1.
     """
     flat = draws.reshape(-1, draws.shape[-1])
-    fine = posterior.refined(start.free, coarser=1.0 / FINER)
-    law = flat[:, : posterior.model.n_law]
+    fine = likelihood.refined(start.free, coarser=1.0 / FINER)
+    law = flat[:, : likelihood.model.n_law]
     along = np.linalg.solve(root_of(np.cov(law.T)), (law - law.mean(axis=0)).T).T
-    terms = np.concatenate([np.ones((law.shape[0], 1)), along, along**2], axis=1)
+    i, j = np.triu_indices(law.shape[1])
+    ones = np.ones((law.shape[0], 1))
+    terms = np.concatenate([ones, along, along[:, i] * along[:, j], along**3], axis=1)
     held = np.linspace(0, flat.shape[0] - 1, max(N_HELD, 4 * terms.shape[1])).astype(int)
     points = np.tile(start.free, (held.size, 1))
     points[:, : law.shape[1]] = law[held]
     n = n_threads(threads)
     with ThreadPoolExecutor(n) as pool:
-        of_fine, of_averages = (SharedDensity(p, pool, n).log_posterior_free(points) for p in (fine, posterior))
-    of_samples, of_means = _whitened(fine, start), _whitened(posterior, start)
+        of_fine, of_averages = (SharedDensity(p, pool, n).log_posterior_free(points) for p in (fine, likelihood))
+    of_samples, of_means = _whitened(fine, start), _whitened(likelihood, start)
     within = (np.sum(of_samples**2) - np.sum(of_means**2)) / max(of_samples.size - of_means.size, 1)
     ratio = (of_fine - of_averages) / max(1.0, within)
     if not np.isfinite(ratio).all():
@@ -199,12 +202,12 @@ def weights_of_all_samples(
     return weights / weights.mean(), pareto_k(ratio)
 
 
-def _whitened(posterior: Likelihood, start: Start) -> FloatArray:
+def _whitened(likelihood: Likelihood, start: Start) -> FloatArray:
     """Give the residual at the top, in units of what its noise lets expect, shape (n,)."""
-    model = posterior.model
+    model = likelihood.model
     theta = model.laws.natural(start.free[None])
     values = {name: float(value[0]) for name, value in model.noise_values(theta).items()}
-    held = [(*part.residual_and_slope(part.force(model, theta)), part.timing) for part in posterior.blocks]
+    held = [(*part.residual_and_slope(part.force(model, theta)), part.timing) for part in likelihood.blocks]
     pairs = [whiten(model.noise, values, rest.T, slope[0], timing) for rest, slope, timing in held]
     return np.concatenate([white.ravel() for white, _ in pairs])
 

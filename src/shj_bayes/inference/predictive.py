@@ -23,15 +23,15 @@ def points_of(run: Run, n_points: int) -> IntArray:
 
 
 def force_at_points(
-    posterior: Likelihood, theta: FloatArray, points: tuple[IntArray, ...], rng: np.random.Generator
+    likelihood: Likelihood, theta: FloatArray, points: tuple[IntArray, ...], rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """Force at points of all runs (`points_of`) one after the other, for parameter sets of shape (m, d), kN.
 
     Without noise, and as it would be measured, both of shape (m, n_points of all runs).
     """
-    model, values = posterior.model, posterior.model.noise_values(theta)
+    model, values = likelihood.model, likelihood.model.noise_values(theta)
     clean, noise = [], []
-    for run, course, keep in zip(posterior.runs, posterior.histories, points, strict=True):
+    for run, course, keep in zip(likelihood.runs, likelihood.histories, points, strict=True):
         recording = run.recording
         history = course if keep.size == recording.n_samples else thinned(course, keep)
         clean.append(model.force(theta, history, run.start_force_kN))
@@ -39,23 +39,23 @@ def force_at_points(
         gap = np.where(anew, np.inf, np.round(np.diff(recording.time_s[keep]) / step, 3) * step)
         gaps, kind = np.unique(np.append(np.inf, gap), return_inverse=True)
         kinds = np.stack([np.ones(gaps.size), np.full(gaps.size, step), gaps], axis=1)
-        rough = variance_over_speed(posterior.at_rest, history)
+        rough = variance_over_speed(likelihood.at_rest, history)
         timing = Timing(kind, kinds, history.motion.start, step, 0.0, np.zeros(run.motion.n_half), rough=rough)
         drawn = draw_noise(model.noise, values, np.zeros((theta.shape[0], keep.size)), timing, rng)
-        noise.append(drawn + rng.normal(*zero_of_run(posterior, theta, len(clean)))[:, None])
+        noise.append(drawn + rng.normal(*zero_of_run(likelihood, theta, len(clean)))[:, None])
     law = np.concatenate(clean, axis=1)
     return law, law + np.concatenate(noise, axis=1)
 
 
-def zero_of_run(posterior: Likelihood, theta: FloatArray, run: int) -> tuple[FloatArray, FloatArray]:
+def zero_of_run(likelihood: Likelihood, theta: FloatArray, run: int) -> tuple[FloatArray, FloatArray]:
     """Mean and standard deviation of the error of the load cell's zero in a run, for each parameter set, kN."""
-    part, model = posterior.blocks[run - 1], posterior.model
+    part, model = likelihood.blocks[run - 1], likelihood.model
     held = part.residual_and_slope(part.force(model, theta))
     return density_and_zero(model.noise, model.noise_values(theta), *held, part.timing)[1:]
 
 
 def half_cycles(
-    posterior: Likelihood, theta: FloatArray, rng: np.random.Generator, *, tested: bool = True
+    likelihood: Likelihood, theta: FloatArray, rng: np.random.Generator, *, tested: bool = True
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean force of each half-cycle's evidence in the direction of motion: how likely, and what is predicted.
 
@@ -64,13 +64,13 @@ def half_cycles(
     evidence. The zero of the load cell is what the recordings say or, unless `tested`, what was known before the test.
     """
     likely, predicted, measured = [], [], []
-    noise = posterior.model.noise
+    noise = likelihood.model.noise
     pieces = np.array_split(theta, math.ceil(theta.shape[0] / PIECE))
-    for part in posterior.blocks:
+    for part in likelihood.blocks:
         log_likelihood, force = [], []
         for some in pieces:
-            values = posterior.model.noise_values(some)
-            residual, slope = part.residual_and_slope(part.force(posterior.model, some))
+            values = likelihood.model.noise_values(some)
+            residual, slope = part.residual_and_slope(part.force(likelihood.model, some))
             density, mean, sd = density_and_zero(noise, values, residual, slope, part.timing)
             if not tested:
                 mean, sd = np.zeros_like(mean), np.full_like(sd, part.timing.zero_noise_kN)

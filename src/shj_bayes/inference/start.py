@@ -21,22 +21,22 @@ Z_LIMIT = 12.0  # of the standardised parameters
 N_STARTS = 5
 
 
-def law_residuals(posterior: Likelihood, z: FloatArray) -> FloatArray:
+def law_residuals(likelihood: Likelihood, z: FloatArray) -> FloatArray:
     """Residual of all blocks beside a constant of each run, for parameters of the law, (m, n_law) to (m, n), kN."""
-    theta, out = posterior.model.laws.natural(z), []
-    for part in posterior.blocks:
-        own = part.residual_and_slope(part.force(posterior.model, theta))[0]
+    theta, out = likelihood.model.laws.natural(z), []
+    for part in likelihood.blocks:
+        own = part.residual_and_slope(part.force(likelihood.model, theta))[0]
         share = part.count / max(float(part.count.sum()), 1.0)
         out.append(np.where(part.count > 0, own - (own @ share)[:, None], 0.0))
     return np.concatenate(out, axis=1)
 
 
-def law_residual(posterior: Likelihood, z: FloatArray) -> FloatArray:
+def law_residual(likelihood: Likelihood, z: FloatArray) -> FloatArray:
     """Give the same at one parameter set, shape (n_law,) to (n,), kN."""
-    return np.asarray(law_residuals(posterior, z[None])[0])
+    return np.asarray(law_residuals(likelihood, z[None])[0])
 
 
-def descend(posterior: Likelihood, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -> FloatArray:
+def descend(likelihood: Likelihood, z: FloatArray, sigma_kN: float, *, rounds: int = 40) -> FloatArray:
     """Go from `z` (unbounded, shape (n_law,)) to where squares and priors are least, in so many rounds at most.
 
     `sigma_kN` is the noise scale against which the priors count.
@@ -44,10 +44,10 @@ def descend(posterior: Likelihood, z: FloatArray, sigma_kN: float, *, rounds: in
 
     def misfit(z: FloatArray) -> FloatArray:
         inside = np.clip(z, -Z_LIMIT, Z_LIMIT)
-        return np.concatenate([law_residual(posterior, inside) / sigma_kN, z])
+        return np.concatenate([law_residual(likelihood, inside) / sigma_kN, z])
 
     def slope(z: FloatArray) -> FloatArray:
-        return np.vstack([jacobian(posterior, np.clip(z, -Z_LIMIT, Z_LIMIT)) / -sigma_kN, np.eye(z.size)])
+        return np.vstack([jacobian(likelihood, np.clip(z, -Z_LIMIT, Z_LIMIT)) / -sigma_kN, np.eye(z.size)])
 
     with np.errstate(over="ignore", invalid="ignore"):
         if not np.isfinite(misfit(z)).all():
@@ -56,14 +56,14 @@ def descend(posterior: Likelihood, z: FloatArray, sigma_kN: float, *, rounds: in
     return np.clip(found.x, -Z_LIMIT, Z_LIMIT) if np.isfinite(found.cost) else z
 
 
-def jacobian(posterior: Likelihood, z: FloatArray) -> FloatArray:
+def jacobian(likelihood: Likelihood, z: FloatArray) -> FloatArray:
     """Give the derivatives of the force after the unbounded law parameters, shape (n, n_law), 0 without evidence."""
-    before = law_residual(posterior, z)
+    before = law_residual(likelihood, z)
     columns = []
     for i in range(z.size):
         moved = z.copy()
         moved[i] += STEP
-        columns.append((before - law_residual(posterior, moved)) / STEP)
+        columns.append((before - law_residual(likelihood, moved)) / STEP)
     return np.stack(columns, axis=1)
 
 
@@ -73,12 +73,12 @@ def cost(residual: FloatArray, z: FloatArray, sigma_kN: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def best_of(posterior: Likelihood, starts: Sequence[FloatArray], sigma_kN: float) -> FloatArray:
+def best_of(likelihood: Likelihood, starts: Sequence[FloatArray], sigma_kN: float) -> FloatArray:
     """Descend from several starts: all for a few steps, the best two to the end; give the better end."""
-    short = [descend(posterior, z, sigma_kN, rounds=4) if len(starts) > 2 else z for z in starts]
-    costs = [cost(law_residual(posterior, z), z, sigma_kN) for z in short]
-    ends = [descend(posterior, short[i], sigma_kN) for i in np.argsort(costs, kind="stable")[:2]]
-    return ends[int(np.argmin([cost(law_residual(posterior, end), end, sigma_kN) for end in ends]))]
+    short = [descend(likelihood, z, sigma_kN, rounds=4) if len(starts) > 2 else z for z in starts]
+    costs = [cost(law_residual(likelihood, z), z, sigma_kN) for z in short]
+    ends = [descend(likelihood, short[i], sigma_kN) for i in np.argsort(costs, kind="stable")[:2]]
+    return ends[int(np.argmin([cost(law_residual(likelihood, end), end, sigma_kN) for end in ends]))]
 
 
 def extended(z: FloatArray, smaller: DeviceModel, larger: DeviceModel, effect: Effect) -> list[FloatArray]:
@@ -92,7 +92,7 @@ def extended(z: FloatArray, smaller: DeviceModel, larger: DeviceModel, effect: E
 
 
 def promising(
-    posterior: Likelihood, before: FloatArray, slopes: FloatArray, starts: Sequence[FloatArray]
+    likelihood: Likelihood, before: FloatArray, slopes: FloatArray, starts: Sequence[FloatArray]
 ) -> list[FloatArray]:
     """Choose at most `N_STARTS` starts, shape (n_law,): those whose change of the force goes best with the residual.
 
@@ -102,10 +102,10 @@ def promising(
     """
     if len(starts) <= N_STARTS:
         return list(starts)
-    changes = np.stack([before - law_residual(posterior, z) for z in starts], axis=1)
+    changes = np.stack([before - law_residual(likelihood, z) for z in starts], axis=1)
     own = orthogonal_to(slopes, changes)
     along = own.T @ before / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
-    size = posterior.model.effects[-1].parameters[0]
+    size = likelihood.model.effects[-1].parameters[0]
     score = np.abs(along) if size.either_sign else along  # a size of one sign must go along
     return [starts[i] for i in np.argsort(-score, kind="stable")[:N_STARTS]]
 
@@ -179,17 +179,19 @@ class Start:
     log_posterior: float  # log posterior density there (unbounded space)
 
 
-def find_start(posterior: Likelihood, *, threads: int = 1, tops: Sequence[FloatArray] = ()) -> tuple[Likelihood, Start]:
+def find_start(
+    likelihood: Likelihood, *, threads: int = 1, tops: Sequence[FloatArray] = ()
+) -> tuple[Likelihood, Start]:
     """Find the most probable parameters: a grid of laws, least squares, effects one by one, then the posterior's top.
 
     Further points to climb from (`tops`, shape (n_law,), unbounded) are where a search has been already. Gives the
     posterior with blocks that follow the bends of its force, and its top; `InferenceError` if no parameters give a
     finite density.
     """
-    candidates = [*tops, *law_starts(posterior)]
-    sizes = [float(np.std(law_residual(posterior, z))) for z in candidates]
+    candidates = [*tops, *law_starts(likelihood)]
+    sizes = [float(np.std(law_residual(likelihood, z))) for z in candidates]
     best = candidates[int(np.argmin(sizes))]
-    refined = started(posterior, best).refined(best)
+    refined = started(likelihood, best).refined(best)
     n = n_threads(threads)
     with ThreadPoolExecutor(n) as pool:
         full = [_best_noise(refined, z) for z in candidates]
@@ -198,15 +200,15 @@ def find_start(posterior: Likelihood, *, threads: int = 1, tops: Sequence[FloatA
         return refined, polish(SharedDensity(refined, pool, n), [z])
 
 
-def started(posterior: Likelihood, z: FloatArray) -> Likelihood:
+def started(likelihood: Likelihood, z: FloatArray) -> Likelihood:
     """Begin each run that does not rest unloaded with the force that is most probable at parameters of the law.
 
     They are unbounded, shape (n_law,). What is read there has noise, and the part of the speed in it. What is left of
     its error is small, so that it acts like one of the first turning point.
     """
-    theta = posterior.model.laws.natural(z[None])
-    parts = (_started(part, posterior.model, theta) if part.run.start_noise_kN else part for part in posterior.blocks)
-    return replace(posterior, blocks=Blocks(parts))
+    theta = likelihood.model.laws.natural(z[None])
+    parts = (_started(part, likelihood.model, theta) if part.run.start_noise_kN else part for part in likelihood.blocks)
+    return replace(likelihood, blocks=Blocks(parts))
 
 
 def _started(part: BinnedRun, model: DeviceModel, theta: FloatArray) -> BinnedRun:
@@ -228,15 +230,15 @@ def _started(part: BinnedRun, model: DeviceModel, theta: FloatArray) -> BinnedRu
     return replace(part, run=replace(part.run, begins_kN=begins_kN))
 
 
-def law_starts(posterior: Likelihood) -> list[FloatArray]:
+def law_starts(likelihood: Likelihood) -> list[FloatArray]:
     """Fit a model's law by least squares, best first: the base law from a grid, then with one effect more at a time.
 
     In the unbounded space, each of shape (n_law,).
     """
-    model = posterior.model
+    model = likelihood.model
 
     def with_first(k: int) -> Likelihood:
-        return posterior.at(model.with_effects(model.effects[:k]))
+        return likelihood.at(model.with_effects(model.effects[:k]))
 
     found = _best_laws(with_first(0))
     for k in range(len(model.effects)):
@@ -244,16 +246,16 @@ def law_starts(posterior: Likelihood) -> list[FloatArray]:
     return found
 
 
-def _best_laws(posterior: Likelihood) -> list[FloatArray]:
+def _best_laws(likelihood: Likelihood) -> list[FloatArray]:
     """Take the best laws of a coarse grid to where the squares are least, best first; the model has no effects."""
-    grid = _grid(posterior)
+    grid = _grid(likelihood)
     with np.errstate(over="ignore", invalid="ignore"):
         pieces = (grid[i : i + CHUNK] for i in range(0, len(grid), CHUNK))
-        scores = [np.sum(law_residuals(posterior, piece) ** 2, axis=1) for piece in pieces]
+        scores = [np.sum(law_residuals(likelihood, piece) ** 2, axis=1) for piece in pieces]
     order = np.argsort(np.concatenate(scores), kind="stable")
     near = [np.clip(z, -8.0, 8.0) for z in grid[order[:N_DESCENTS]]]
-    ends = [descend(posterior, z, max(float(np.std(law_residual(posterior, z))), 1e-9)) for z in near]
-    return sorted(ends, key=lambda z: float(np.sum(law_residual(posterior, z) ** 2)))
+    ends = [descend(likelihood, z, max(float(np.std(law_residual(likelihood, z))), 1e-9)) for z in near]
+    return sorted(ends, key=lambda z: float(np.sum(law_residual(likelihood, z) ** 2)))
 
 
 def _with_next_effect(smaller: Likelihood, larger: Likelihood, z: FloatArray) -> FloatArray:
@@ -264,9 +266,9 @@ def _with_next_effect(smaller: Likelihood, larger: Likelihood, z: FloatArray) ->
     return best_of(larger, starts, max(float(np.std(residual)), 1e-9))
 
 
-def _grid(posterior: Likelihood) -> FloatArray:
+def _grid(likelihood: Likelihood) -> FloatArray:
     """List laws on a coarse grid, in the unbounded space, shape (n, n_law)."""
-    runs, model = posterior.runs, posterior.model
+    runs, model = likelihood.runs, likelihood.model
     peak = [float(np.percentile(np.abs(run.recording.force_kN), 97)) for run in runs]
     stroke = float(np.ptp(runs[0].motion.displacement_mm))
     speed = float(np.percentile(runs[0].motion.speed_mm_s, 95))
@@ -289,36 +291,36 @@ def _grid(posterior: Likelihood) -> FloatArray:
     return np.array(rows)
 
 
-def _best_noise(posterior: Likelihood, z: FloatArray) -> FloatArray:
+def _best_noise(likelihood: Likelihood, z: FloatArray) -> FloatArray:
     """Complete law parameters with the most probable noise parameters of a grid around the size of the residual."""
-    model = posterior.model
-    size = max(float(np.std(law_residual(posterior, z))), 1e-9)
+    model = likelihood.model
+    size = max(float(np.std(law_residual(likelihood, z))), 1e-9)
     grids = []
     for own, law in zip(model.noise.own, model.laws[model.n_law :], strict=True):
         values = np.array(own.in_fit) * (size if own.unit == "kN" else 1.0) if own.in_fit else law.quantile(QUARTILES)
         grids.append([float(law.to_free(value)) for value in values])
     rows = np.array(list(product(*grids)))
     points = np.concatenate([np.tile(z, (rows.shape[0], 1)), np.clip(rows, -8.0, 8.0)], axis=1)
-    return np.asarray(points[int(np.argmax(posterior.log_posterior_free(points)))])
+    return np.asarray(points[int(np.argmax(likelihood.log_posterior_free(points)))])
 
 
-def _with_best_noise_at_rest(posterior: Likelihood, z: FloatArray) -> tuple[Likelihood, FloatArray]:
+def _with_best_noise_at_rest(likelihood: Likelihood, z: FloatArray) -> tuple[Likelihood, FloatArray]:
     """Give the posterior its most probable `at_rest`, and `z`, shape (d,), the noise beside it; the law stays.
 
     The widths of the law's parameters depend on it in the second order only, so it is not sampled (decision 0010).
     """
-    model = posterior.model
+    model = likelihood.model
     law = model.laws.natural(z[None])
-    held = [part.residual_and_slope(part.force(model, law)) for part in posterior.blocks]
+    held = [part.residual_and_slope(part.force(model, law)) for part in likelihood.blocks]
 
     def negative(u: FloatArray) -> float:
         noise = model.noise_values(model.laws.natural(np.append(z[: model.n_law], u[:-1])[None]))
-        parts = zip(held, posterior.with_noise_at_rest(AT_REST_SD * float(u[-1])).blocks, strict=True)
+        parts = zip(held, likelihood.with_noise_at_rest(AT_REST_SD * float(u[-1])).blocks, strict=True)
         likely = [log_density(model.noise, noise, *pair, part.timing).sum() for pair, part in parts]
         return 0.5 * float(u @ u) - float(np.sum(likely))
 
     found = most_probable_noise(negative, [np.append(z[model.n_law :], 0.0)], 8.0)
-    return posterior.with_noise_at_rest(AT_REST_SD * float(found[-1])), np.append(z[: model.n_law], found[:-1])
+    return likelihood.with_noise_at_rest(AT_REST_SD * float(found[-1])), np.append(z[: model.n_law], found[:-1])
 
 
 def most_probable_noise(

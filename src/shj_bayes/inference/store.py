@@ -105,7 +105,7 @@ AS_SAMPLED = "of the draws as sampled; those in posterior are wider where the re
 
 
 def groups_of(
-    posterior: Likelihood, shown: FloatArray, sampled: FloatArray, heights: FloatArray, seed: int, library: str
+    likelihood: Likelihood, shown: FloatArray, sampled: FloatArray, heights: FloatArray, seed: int, library: str
 ) -> dict[str, Group]:
     """Everything a reader of the fit needs, in the groups of ArviZ.
 
@@ -119,23 +119,23 @@ def groups_of(
     predictive draws have a stream of their own.
     """
     some = np.linspace(0, shown.shape[1] - 1, min(N_STORED, shown.shape[1])).astype(int)
-    draws, own = (posterior.model.laws.natural(chains[:, some]) for chains in (shown, sampled))
+    draws, own = (likelihood.model.laws.natural(chains[:, some]) for chains in (shown, sampled))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
-    laws = posterior.model.laws
+    laws = likelihood.model.laws
     prior = np.stack([law.from_free(rng.standard_normal(N_PRIOR)) for law in laws], axis=1)
     log_prior = np.stack([law.log_density(own[:, :, i]) for i, law in enumerate(laws)], axis=2)
 
     def named(values: FloatArray) -> dict[str, FloatArray]:
-        return {name: values[..., i] for i, name in enumerate(posterior.model.names)}
+        return {name: values[..., i] for i, name in enumerate(likelihood.model.names)}
 
-    group = partial(_group, _words(posterior), library)
+    group = partial(_group, _words(likelihood), library)
     groups = {
         "posterior": group("draws", named(draws)),
         "prior": group("draws of the priors", named(prior[None])),
-        **_half_cycle_groups(group, posterior, own, prior[:N_FORESEEN], rng),
+        **_half_cycle_groups(group, likelihood, own, prior[:N_FORESEEN], rng),
         "log_prior": group(f"in natural units; {AS_SAMPLED}", named(log_prior)),
         "sample_stats": group(AS_SAMPLED, {"lp": heights[:, some]}),
-        **_sample_groups(group, posterior, draws, rng),
+        **_sample_groups(group, likelihood, draws, rng),
     }
     for name in ("log_likelihood", "log_prior"):
         for dimensions, _, words in groups[name].arrays.values():
@@ -144,26 +144,26 @@ def groups_of(
     return groups
 
 
-def _words(posterior: Likelihood) -> dict[str, tuple[str, str]]:
+def _words(likelihood: Likelihood) -> dict[str, tuple[str, str]]:
     """Give unit and meaning of everything in the file, by name."""
-    words = MEANINGS | {p.name: (p.unit, p.meaning) for p in map(meaning_of, posterior.model.names)}
-    for name, unit in extra_names(posterior).items():
+    words = MEANINGS | {p.name: (p.unit, p.meaning) for p in map(meaning_of, likelihood.model.names)}
+    for name, unit in extra_names(likelihood).items():
         words[f"{EXTRA}{name}"] = (unit or "1", "further channel, as named")
-    further = measured_of(posterior.runs)[0]
+    further = measured_of(likelihood.runs)[0]
     return words | {name: (one.unit or "1", "further channel without its noise") for name, one in further.items()}
 
 
 def _half_cycle_groups(
-    group: Grouped, posterior: Likelihood, draws: FloatArray, prior: FloatArray, rng: np.random.Generator
+    group: Grouped, likelihood: Likelihood, draws: FloatArray, prior: FloatArray, rng: np.random.Generator
 ) -> dict[str, Group]:
     """Group by half-cycle what is likely and predicted for draws, and what was measured."""
     n_ensembles, _, d = draws.shape
-    likely, predicted, measured = half_cycles(posterior, draws.reshape(-1, d), rng)
+    likely, predicted, measured = half_cycles(likelihood, draws.reshape(-1, d), rng)
     with np.errstate(over="ignore", invalid="ignore"):
-        foreseen = half_cycles(posterior, prior, rng, tested=False)[1]
+        foreseen = half_cycles(likelihood, prior, rng, tested=False)[1]
     some = np.flatnonzero(np.isfinite(measured))
     possible = np.flatnonzero(np.isfinite(foreseen[:, some]).all(axis=1))
-    n_half = [run.motion.n_half for run in posterior.runs]
+    n_half = [run.motion.n_half for run in likelihood.runs]
     at = {
         "half_cycle": some,
         "run": ("half_cycle", np.repeat(np.arange(len(n_half)) + 1, n_half)[some]),
@@ -184,19 +184,19 @@ def _half_cycle_groups(
 
 
 def _sample_groups(
-    group: Grouped, posterior: Likelihood, draws: FloatArray, rng: np.random.Generator
+    group: Grouped, likelihood: Likelihood, draws: FloatArray, rng: np.random.Generator
 ) -> dict[str, Group]:
     """Group by sample the recordings, and the force that a few draws give."""
-    points = tuple(points_of(run, N_POINTS) for run in posterior.runs)
-    begins = np.cumsum([0, *(run.recording.n_samples for run in posterior.runs[:-1])])
+    points = tuple(points_of(run, N_POINTS) for run in likelihood.runs)
+    begins = np.cumsum([0, *(run.recording.n_samples for run in likelihood.runs[:-1])])
     at = {"point": np.concatenate([keep + begin for keep, begin in zip(points, begins, strict=True)])}
     few = np.linspace(0, draws.shape[1] - 1, N_LOOPS).astype(int)
-    clean, noisy = force_at_points(posterior, draws[:, few].reshape(-1, draws.shape[2]), points, rng)
+    clean, noisy = force_at_points(likelihood, draws[:, few].reshape(-1, draws.shape[2]), points, rng)
     forces = {"force": noisy, "force_model": clean}
     forces = {name: force.reshape(draws.shape[0], few.size, -1) for name, force in forces.items()}
     loops = group("posterior predictive at the points of constant_data", forces, at | {"draw": few})
     return {
-        "constant_data": group("recordings, thinned where they are long", _channels(posterior, points), at),
+        "constant_data": group("recordings, thinned where they are long", _channels(likelihood, points), at),
         "loops": _packed(loops),
     }
 
@@ -215,7 +215,7 @@ def summary(model: DeviceModel, figures: Diagnostics, chains: FloatArray) -> tup
 
 
 def fit_record(
-    posterior: Likelihood,
+    likelihood: Likelihood,
     figures: Diagnostics,
     widening: Widening,
     verdict: FitVerdict,
@@ -228,11 +228,11 @@ def fit_record(
     `table` is the summary of the parameters, `pareto_k` of the weights of all samples; `asked` are the name of the
     device, the seed and the key of the fit, the verdict on the chains alone (``convergence``), and the ``remarks``.
     """
-    pairs = zip(posterior.blocks, posterior.runs, strict=True)
+    pairs = zip(likelihood.blocks, likelihood.runs, strict=True)
     means = np.array([[row.mean for row in table]])
-    runs = range(1, len(posterior.runs) + 1)
-    zeros = [[float(value[0]) for value in zero_of_run(posterior, means, run)] for run in runs]
-    model = posterior.model
+    runs = range(1, len(likelihood.runs) + 1)
+    zeros = [[float(value[0]) for value in zero_of_run(likelihood, means, run)] for run in runs]
+    model = likelihood.model
     return FitRecord(
         **asked,
         verdict=verdict.word,
@@ -251,13 +251,13 @@ def fit_record(
         ),
         channels={
             coordinate: ChannelScale(unit=one.unit, low=one.low, high=one.high, reference=one.reference)
-            for coordinate, one in measured_of(posterior.runs)[0].items()
+            for coordinate, one in measured_of(likelihood.runs)[0].items()
         },
         prior_laws=tuple(
             PriorRecord(name=n, unit=p.unit, law=p.law, a=p.a, b=p.b, source=p.source)
-            for n, p in zip(posterior.model.names, model.laws, strict=True)
+            for n, p in zip(likelihood.model.names, model.laws, strict=True)
         ),
-        inputs=tuple(_input(run, *zero) for run, zero in zip(posterior.runs, zeros, strict=True)),
+        inputs=tuple(_input(run, *zero) for run, zero in zip(likelihood.runs, zeros, strict=True)),
         sampling=SamplingRecord(
             n_ensembles=int(figures.acceptance.shape[0]),
             n_walkers=int(figures.acceptance.shape[1]),
@@ -273,7 +273,7 @@ def fit_record(
             scatter_over_posterior=dict(zip(widening.names, widening.scatter.tolist(), strict=True)),
             widening=dict(zip(widening.names, widening.factor.tolist(), strict=True)),
         ),
-        noise_at_rest=math.exp(posterior.at_rest),
+        noise_at_rest=math.exp(likelihood.at_rest),
         reduction=tuple(Reduction(n_blocks=part.n, n_samples=run.recording.n_samples) for part, run in pairs),
         parameters=tuple(table),
     )
@@ -333,12 +333,12 @@ def versions() -> dict[str, str]:
     return out
 
 
-def extra_names(posterior: Likelihood) -> dict[str, str]:
+def extra_names(likelihood: Likelihood) -> dict[str, str]:
     """Further channels of all runs: name and unit, each once."""
-    return {extra.name: extra.unit or "" for run in posterior.runs for extra in run.recording.extras}
+    return {extra.name: extra.unit or "" for run in likelihood.runs for extra in run.recording.extras}
 
 
-def _channels(posterior: Likelihood, points: Sequence[IntArray]) -> dict[str, NDArray[Any]]:
+def _channels(likelihood: Likelihood, points: Sequence[IntArray]) -> dict[str, NDArray[Any]]:
     """Channels that the law and the pages need, at points of the runs, one run after the other."""
     of_runs = [
         {
@@ -350,12 +350,12 @@ def _channels(posterior: Likelihood, points: Sequence[IntArray]) -> dict[str, ND
             "half_cycle_of_sample": run.motion.half_cycle,
             "used": run.used.astype(np.int8),
         }
-        for number, run in enumerate(posterior.runs, start=1)
+        for number, run in enumerate(likelihood.runs, start=1)
     ]
-    for channels, run, measured in zip(of_runs, posterior.runs, measured_of(posterior.runs), strict=True):
+    for channels, run, measured in zip(of_runs, likelihood.runs, measured_of(likelihood.runs), strict=True):
         own = {extra.name: extra.values for extra in run.recording.extras}
         nowhere = np.full(run.recording.n_samples, np.nan)
-        channels |= {f"{EXTRA}{name}": own.get(name, nowhere) for name in extra_names(posterior)}
+        channels |= {f"{EXTRA}{name}": own.get(name, nowhere) for name in extra_names(likelihood)}
         since = channels["time_s"] - channels["time_s"][0]
         channels |= {name: one.at(since) for name, one in measured.items()}
     pairs = list(zip(of_runs, points, strict=True))

@@ -9,7 +9,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.spread import HIGH, LOW, MIDDLE
 from shj_bayes.model.parameters import base_of
@@ -27,20 +26,20 @@ Value = TypeVar("Value", float, tuple[float, float])
 
 
 def predictive_devices(result: PopulationResult, set_name: str) -> dict[str, NewDevice]:
-    """Draw new devices of a set under every prior of the spread that was tried, each read as the tested ones were."""
-    return {label: _as_read(new_device(result, set_name, label), result) for label in (DEFAULT, *result.other_priors)}
+    """Draw new devices of a set under every prior of the spread that was tried, each read as the tested ones were.
 
-
-def _as_read(device: NewDevice, result: PopulationResult) -> NewDevice:
-    """Give the draws of design quantities (all of them positive) the error with which those of the set are known."""
-    draws = {}
-    for q, values in device.draws.items():
-        rng = np.random.default_rng(stream(result.seed, "reading", device.set_name, q))
-        error = reading_error(result, device.set_name, q)
-        draws[q] = values * np.exp(error * rng.standard_normal(values.size))
-    if "ratio" in draws:
-        draws[DEGRADATION] = 1.0 - draws["ratio"]
-    return replace(device, draws=draws)
+    Draws of design quantities (all of them positive) have the error with which those of the set are known.
+    """
+    out = {}
+    for label in (DEFAULT, *result.other_priors):
+        device, draws = new_device(result, set_name, label), {}
+        for q, values in device.draws.items():
+            rng = np.random.default_rng(stream(result.seed, "reading", set_name, q))
+            draws[q] = values * np.exp(reading_error(result, set_name, q) * rng.standard_normal(values.size))
+        if "ratio" in draws:
+            draws[DEGRADATION] = 1.0 - draws["ratio"]
+        out[label] = replace(device, draws=draws)
+    return out
 
 
 def reading_error(result: PopulationResult, set_name: str, quantity: str) -> float:
@@ -216,24 +215,19 @@ class Environment:
 
 def environment(result: PopulationResult, set_name: str) -> Environment:
     """Corroded over uncorroded sliding force of the same shim and coating, from its posterior."""
-    untested = "no corroded partner of this set was tested: 1 says that nothing is known, not that nothing happens"
-    fit = result.fit(THIRD_CYCLE)
+    fit, names, pairs = result.fit(THIRD_CYCLE), result.set_names, corroded_pairs(result)
     if set_name == ANY_SET:
-        shifts = [fit.mu[:, j] - fit.mu[:, i] for i, j in corroded_pairs(result)]
-        if not shifts:
-            return Environment(NONE, NONE, untested)
-        shift = np.mean(shifts, axis=0)
-        return _environment(shift, f"mean of {len(shifts)} corroded sets over their uncorroded partners")
-    index = result.index(set_name)
-    if result.sets[index].tags.corroded:
-        return Environment(NONE, NONE, "this set was tested corroded: its own numbers hold the ageing")
-    partner = [j for i, j in corroded_pairs(result) if i == index]
-    if not partner:
+        origin = f"mean of {len(pairs)} corroded sets over their uncorroded partners"
+    else:
+        index = result.index(set_name)
+        if result.sets[index].tags.corroded:
+            return Environment(NONE, NONE, "this set was tested corroded: its own numbers hold the ageing")
+        pairs = [(i, j) for i, j in pairs if i == index][:1]
+        origin = "".join(f"{names[j]} over {set_name}" for _, j in pairs)
+    if not pairs:
+        untested = "no corroded partner of this set was tested: 1 says that nothing is known, not that nothing happens"
         return Environment(NONE, NONE, untested)
-    return _environment(fit.mu[:, partner[0]] - fit.mu[:, index], f"{result.sets[partner[0]].name} over {set_name}")
-
-
-def _environment(shift: FloatArray, origin: str) -> Environment:
+    shift = np.mean([fit.mu[:, j] - fit.mu[:, i] for i, j in pairs], axis=0)
     low, middle, high = (float(x) for x in np.exp(band_of(shift)))
     said = f"{origin}: {middle:.2f} (90 % interval {low:.2f} to {high:.2f})"
     return Environment(Bounds.around(middle), Bounds.around(low, high), said)

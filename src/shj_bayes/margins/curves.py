@@ -12,30 +12,16 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from shj_bayes._util.arrays import FloatArray
+from shj_bayes._util.arrays import FloatArray, one_blas_thread
 from shj_bayes.margins.specimen import Specimen
 from shj_bayes.model.coordinates import Coordinate, coordinates
 from shj_bayes.model.curve import curve_named
+from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.effects.effect import Effect, combine
 from shj_bayes.population.compare import ROPE_SPEED, Stratum, members, shift_of, strata_of
-from shj_bayes.population.hierarchy import (
-    FEWER_DRAWS,
-    MAIN_PRIOR,
-    DeviceSet,
-    PopulationResult,
-    QuantityPosterior,
-    fit_quantity,
-)
+from shj_bayes.population.hierarchy import MAIN_PRIOR, DeviceSet, PopulationResult, fit_quantities
 from shj_bayes.population.predict import correlation_draws
-from shj_bayes.population.quantities import (
-    LEVELS,
-    Band,
-    PopulationPrior,
-    QuantityLikelihood,
-    other_priors,
-    population_prior,
-    stream,
-)
+from shj_bayes.population.quantities import LEVELS, Band, QuantityLikelihood, population_prior, stream
 
 SPEED = "speed"
 COMPARED = tuple(name for name, one in coordinates().items() if name == "travel" or not one.of_base)
@@ -78,6 +64,7 @@ class CurveContrast:
         ]
 
 
+@one_blas_thread
 def compare_curves(
     result: PopulationResult, specimens: Sequence[Specimen], set_a: str, set_b: str, *, rope: float
 ) -> tuple[CurveContrast, ...]:
@@ -87,7 +74,7 @@ def compare_curves(
     share of the force. Speed comes first, which the published law holds.
     """
     sides = members(result, strata_of(result, set_a, set_b)[2])
-    held = [set().union(*(_held(s) for s in specimens if s.set_name in names)) for names in sides]
+    held = [{name for s in specimens if s.set_name in names for name in _held(s.beliefs[0].model)} for names in sides]
     groups = tuple(group for group in result.sets if group.name in {*sides[0], *sides[1]})
     both = [s for s in specimens if s.set_name in {group.name for group in groups}]
     found = (
@@ -105,8 +92,8 @@ def _over(effect: Effect) -> str:
     return name if action == "capacity" and name in COMPARED else ""
 
 
-def _held(specimen: Specimen) -> set[str]:
-    model = specimen.beliefs[0].model
+def _held(model: DeviceModel) -> set[str]:
+    """Coordinates that the sliding force of a model depends on."""
     return {*filter(None, map(_over, model.effects)), *([SPEED] if model.speed else [])}
 
 
@@ -139,24 +126,17 @@ def log_factors(specimen: Specimen, coordinate: Coordinate, at: FloatArray) -> F
     return out
 
 
-def _stated(specimens: Sequence[Specimen], coordinate: Coordinate) -> tuple[float, FloatArray] | None:
-    """Value that factors are relative to, and the others, over the range that all devices share; None for none."""
+def _contrast(
+    result: PopulationResult, specimens: Sequence[Specimen], coordinate: Coordinate, sides: tuple[str, str], rope: float
+) -> CurveContrast | None:
+    """Compare two sides over a coordinate; None where their devices share no range of it."""
     ends = [np.quantile(_along(specimen, coordinate), ENDS) for specimen in specimens]
     low, high = np.max(ends, axis=0)[0], np.min(ends, axis=0)[1]
     if not low < high:
         return None
-    at = np.linspace(low, high, PLACES)
-    place = round(coordinate.zero_share * (PLACES - 1))
-    return float(at[place]), np.delete(at, place)
-
-
-def _contrast(
-    result: PopulationResult, specimens: Sequence[Specimen], coordinate: Coordinate, sides: tuple[str, str], rope: float
-) -> CurveContrast | None:
-    stated = _stated(specimens, coordinate)
-    if stated is None:
-        return None
-    reference, at = stated
+    places = np.linspace(low, high, PLACES)
+    zero = round(coordinate.zero_share * (PLACES - 1))  # what the factors are relative to
+    reference, at = float(places[zero]), np.delete(places, zero)
     logs = {(s.set_name, s.name): log_factors(s, coordinate, np.append(reference, at)) for s in specimens}
     pooled = pool({key: own[:, 1:] - own[:, :1] for key, own in logs.items()}, result, coordinate.id)
     a, b, strata = strata_of(pooled, *sides)
@@ -191,19 +171,14 @@ def pool(logs: Mapping[tuple[str, str], FloatArray], result: PopulationResult, w
         ]
         for k, name in enumerate(names)
     }
-
-    def fits(label: str, own: PopulationPrior) -> dict[str, QuantityPosterior]:
-        seeds = {name: stream(result.seed, "curve", word, name, label) for name in names}
-        return {name: fit_quantity(name, data[name], own, seeds[name], FEWER_DRAWS) for name in names}
-
-    def kept(group: DeviceSet) -> DeviceSet:
-        own = groups[group.name]
+    priors = dict.fromkeys(names, prior)
+    others = fit_quantities(data, priors, result.seed, "curve", word)
+    sets = []
+    for group in result.sets:
+        own = tuple(groups[group.name])
         points = {name: tuple(float(middle[group.name, n][k]) for n in own) for k, name in enumerate(names)}
-        return DeviceSet(group.name, tuple(own), group.tags, points)
-
-    others = {label: fits(label, own) for label, own in other_priors(prior).items()}
-    sets = tuple(map(kept, result.sets))
-    return PopulationResult(sets, fits(MAIN_PRIOR, prior), others, dict.fromkeys(names, prior), {}, result.seed)
+        sets.append(DeviceSet(group.name, own, group.tags, points))
+    return PopulationResult(tuple(sets), others.pop(MAIN_PRIOR), others, priors, {}, result.seed)
 
 
 def shifts(pooled: PopulationResult, strata: Sequence[Stratum], prior: str) -> FloatArray:

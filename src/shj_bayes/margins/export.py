@@ -11,7 +11,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 from types import MappingProxyType
@@ -153,33 +153,19 @@ def wen_exponent(beta: float) -> float:
     return float(optimize.brentq(short_by, 1.0, LARGEST_EXPONENT))
 
 
-def link_table(bounds: Sequence[Bound]) -> Cells:
-    """One line per set and bound; columns as in ``HELP``."""
-    rows = [
-        (
-            b.set_name,
-            b.bound,
-            b.n_devices,
-            float(f"{b.K_kN_mm:.5g}"),
-            float(f"{1000.0 * b.K_kN_mm:.5g}"),
-            float(f"{b.force_kN:.5g}"),
-            HARDENING,
-            round(wen_exponent(b.beta), 1),
-            float(f"{b.stiffness_kN_mm:.5g}"),
-            round(b.damping, 4),
-            b.slip_mm,
-        )
-        for b in bounds
-    ]
-    return Cells(tuple(HELP), rows)
-
-
 def link_csv(bounds: Sequence[Bound], cycle: str, left_out: Sequence[str] = ()) -> str:
-    """Table as CSV under its help lines, which start with # (as comments do)."""
+    """One line per set and bound, columns as in ``HELP``, as CSV under its help lines, which start with #."""
     head = [f"# {column}: {words}" for column, words in HELP.items()]
     head.append(f"# cycle of the effective values: {cycle}. Not carried: speed, loss of force with travel.")
     head += [f"# {plain(note)}" for note in left_out]
-    return "\n".join(head) + "\n" + link_table(bounds).to_csv()
+    rows = []
+    for b in bounds:
+        numbers = (b.K_kN_mm, 1000.0 * b.K_kN_mm, b.force_kN, HARDENING, b.stiffness_kN_mm)
+        K, K_m, force, hardening, effective = (float(f"{x:.5g}") for x in numbers)
+        knee = round(wen_exponent(b.beta), 1)
+        row = (b.set_name, b.bound, b.n_devices, K, K_m, force, hardening, knee, effective, round(b.damping, 4))
+        rows.append((*row, b.slip_mm))
+    return "\n".join(head) + "\n" + Cells(tuple(HELP), rows).to_csv()
 
 
 HARDENING = 1e-5
@@ -291,7 +277,7 @@ def loops(tests: Sequence[VirtualTestResult], peak_speed_mm_s: float) -> tuple[L
         for law in max((tuple(test.loops) for test in own), key=len):  # a device that depends on nothing beyond has one
             of_law = [test.loops.get(law) or next(iter(test.loops.values())) for test in own]
             for run, cycles in enumerate(zip(*of_law, strict=False), start=1):
-                ends = [_shared([cycle[i][0] for cycle in cycles]) for i in (0, 1)]
+                ends = [(max(c[i][0].min() for c in cycles), min(c[i][0].max() for c in cycles)) for i in (0, 1)]
                 low, high = min(ends[0][0], ends[1][0]), max(ends[0][1], ends[1][1])
                 grid = np.linspace(low, high, N_POINTS)
                 push, pull = (np.concatenate([_at(grid, c[i], ends[i]) for c in cycles]) for i in (0, 1))
@@ -302,8 +288,7 @@ def loops(tests: Sequence[VirtualTestResult], peak_speed_mm_s: float) -> tuple[L
     return tuple(out)
 
 
-def _shared(branches: Sequence[FloatArray]) -> tuple[float, float]:
-    return max(float(x.min()) for x in branches), min(float(x.max()) for x in branches)
+SLIGHT_MM = 1.0  # told beyond the ends of a branch: samples end short of a reversal
 
 
 def _at(grid: FloatArray, branch: tuple[FloatArray, FloatArray], ends: tuple[float, float]) -> FloatArray:
@@ -312,9 +297,6 @@ def _at(grid: FloatArray, branch: tuple[FloatArray, FloatArray], ends: tuple[flo
     order = np.argsort(x, kind="stable")
     at = np.stack([np.interp(grid, x[order], row[order]) for row in force])
     return np.where((grid >= ends[0] - SLIGHT_MM) & (grid <= ends[1] + SLIGHT_MM), at, np.nan)
-
-
-SLIGHT_MM = 1.0  # told beyond the ends of a branch: samples end short of a reversal
 
 
 def write_loops(bands: Sequence[LoopBand], folder: Path) -> Path | None:
@@ -348,25 +330,13 @@ CHANGE = (0.5, 2.0)
 HEADS = ("set", "device", "K_kN_mm", "force_kN", "force_2_kN", "R_steel02", "share_at_rest", "rate_s_mm")
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """A new device of a set."""
-
-    set_name: str
-    number: int  # from 1
-    K_kN_mm: float  # stiffness
-    # force_kN, force_2_kN: mean plateau force of the first and of the second run at the tested speed; the second is the
-    # first where no second run was tested
-    force_kN: float
-    force_2_kN: float
-    sharpness: float  # R of Steel02
-    share_at_rest: float  # force at rest over that at the tested speed
-
-
 def draw_devices(
     design: PopulationResult, parameters: PopulationResult, n: int, speed_mm_s: float
-) -> tuple[Drawn, ...]:
-    """Draw `n` new devices of every tested set; `PopulationError` if so many cannot be drawn.
+) -> dict[str, FloatArray]:
+    """Draw `n` new devices of every tested set, shape (n, 5); `PopulationError` if so many cannot be drawn.
+
+    Columns: stiffness, kN/mm; mean plateau force of the first and of the second run at the tested speed, kN (the first
+    again where no second run was tested); R of Steel02; force at rest over that at the tested speed.
 
     `design` are the pooled design quantities, `parameters` the pooled parameters of the law: sharpness, and gamma where
     the fits have it. The speed is the peak speed of the tests.
@@ -374,14 +344,11 @@ def draw_devices(
     available = next(iter(design.posteriors.values())).mu.shape[0]
     if not 1 <= n <= min(MOST, available):
         raise PopulationError(f"{n} devices were asked for; allowed are 1 to {min(MOST, available)} of each set")
-    out = []
+    out = {}
     for name in design.set_names:
         by_prior = predictive_devices(design, name)
-        own = own_devices(design, name, ("plateau", "K"))
-        width = {
-            p: float(np.diff(np.log(by_prior[p].band("plateau")[::2]))[0])
-            for p in priors_that_count(tuple(by_prior), own)
-        }
+        count = priors_that_count(tuple(by_prior), own_devices(design, name, ("plateau", "K")))
+        width = {label: float(np.diff(np.log(by_prior[label].band("plateau")[::2]))[0]) for label in count}
         prior = max(width, key=lambda label: width[label])
         device = by_prior[prior].draws
         law = new_device(parameters, name, prior).draws
@@ -391,20 +358,27 @@ def draw_devices(
         sharpness = np.array([exponent_of_steel02(beta) for beta in np.clip(law["beta"][of_law], *BETA_RANGE).tolist()])
         gamma = law["gamma"][of_law] if "gamma" in law else np.zeros(n)
         at_rest = 1.0 / np.clip(1.0 + gamma * MIDDLE_SPEED * speed_mm_s, *CHANGE)
-        columns = (device["K"][of_design], first[of_design], second[of_design], sharpness, at_rest)
-        out += [Drawn(name, i + 1, *(float(c[i]) for c in columns)) for i in range(n)]
-    return tuple(out)
+        out[name] = np.column_stack([device["K"][of_design], first[of_design], second[of_design], sharpness, at_rest])
+    return out
 
 
-def draws_csv(drawn: Sequence[Drawn], speed_mm_s: float) -> str:
+def draws_csv(drawn: Mapping[str, FloatArray], speed_mm_s: float) -> str:
     """Drawn devices as CSV: one line a device, columns as in ``HEADS``."""
     rate = 1.0 / (MIDDLE_SPEED * speed_mm_s)
-    rows = [(d.set_name, d.number, *(f"{x:.6g}" for x in (*astuple(d)[2:], rate))) for d in drawn]
+    rows = [
+        (name, number, *(f"{x:.6g}" for x in (*row, rate)))
+        for name, devices in drawn.items()
+        for number, row in enumerate(devices.tolist(), start=1)
+    ]
     return Cells(HEADS, rows).to_csv()
 
 
 def draws_script(
-    drawn: Sequence[Drawn], amplitude_mm: float, speed_mm_s: float, source: str, left_out: Sequence[str] = ()
+    drawn: Mapping[str, FloatArray],
+    amplitude_mm: float,
+    speed_mm_s: float,
+    source: str,
+    left_out: Sequence[str] = (),
 ) -> str:
     """Script for OpenSeesPy: a table of devices, functions that define one, and a check that runs a cycle of each.
 
@@ -412,9 +386,9 @@ def draws_script(
     not carry besides, one sentence each.
     """
     rows = "\n".join(
-        f"    ({json.dumps(d.set_name)}, {d.number}): ({d.force_kN:.6g}, {d.force_2_kN:.6g}, {d.K_kN_mm:.6g}, "
-        f"{d.sharpness:.6g}, {d.share_at_rest:.6g}),"
-        for d in drawn
+        f"    ({json.dumps(name)}, {number}): ({force:.6g}, {second:.6g}, {K:.6g}, {sharpness:.6g}, {at_rest:.6g}),"
+        for name, devices in drawn.items()
+        for number, (K, force, second, sharpness, at_rest) in enumerate(devices.tolist(), start=1)
     )
     rate = f"{1.0 / (MIDDLE_SPEED * speed_mm_s):.6g}"
     notes = (NOTES[0], *NOTES[2:5], *map(plain, left_out))

@@ -5,31 +5,16 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from shj_bayes._util.files import damage_told, write_text
 from shj_bayes.errors import PopulationError
+from shj_bayes.margins import uses
 from shj_bayes.margins.codes.bounds import COMBINATION, LBDP, UBDP, kind_of
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet, pool
 from shj_bayes.margins.spread import FACTORS, HIGH, LOW, MIDDLE, V_BETWEEN, V_COMMON, V_KNOWN, V_UNKNOWN, Key, Margin
-from shj_bayes.margins.uses import (
-    BATCH_PASSES,
-    FIRST,
-    FRICTION,
-    LARGEST,
-    LATER,
-    MOMENT,
-    PASSES,
-    PER_BOLT,
-    STOREY,
-    SUM,
-    TIGHTENED,
-    WANTED_BOLTS,
-    WANTED_CAPACITY,
-    WANTED_CLAMPING,
-)
 from shj_bayes.margins.virtual_test import CyclePoint, VirtualTestResult
 from shj_bayes.population.device import RangeTested
 from shj_bayes.population.hierarchy import ANY_SET, PopulationResult
@@ -51,18 +36,18 @@ PRODUCTION = "within 15 %: EN 15129, ASCE 7 18.6"
 LINES = (
     # use, clause or what the values are, kinds of the lower, typical and upper value
     ("all events: use these two", "smallest plateau; largest force", DRIFT, "", CAPACITY),
-    ("first event alone", "the same of the first run", FIRST, "", FIRST),
-    ("second event", "the same of the later runs", LATER, "", LATER),
-    ("all connections together", "sum: storey drift; base shear", SUM, "", SUM),
-    ("largest of all connections", "members beside any of them", "", "", LARGEST),
-    ("with the tightening tolerance", "one connection", TIGHTENED, "", TIGHTENED),
-    ("per bolt and sliding surface", "", PER_BOLT, PER_BOLT, PER_BOLT),
-    ("effective friction coefficient", "of the clamping stated", FRICTION, FRICTION, FRICTION),
-    ("bolts for the force wanted", "in proportion to those tested", WANTED_BOLTS, "", ""),
-    ("clamping of one bolt for it", "as tested, if their proof load allows", WANTED_CLAMPING, "", ""),
-    ("force with the bolts for it", "in proportion", "", "", WANTED_CAPACITY),
-    ("moment at the joint", "force x lever arm", MOMENT, MOMENT, MOMENT),
-    ("storey force of one brace", "force x cos angle", STOREY, STOREY, STOREY),
+    ("first event alone", "the same of the first run", uses.FIRST, "", uses.FIRST),
+    ("second event", "the same of the later runs", uses.LATER, "", uses.LATER),
+    ("all connections together", "sum: storey drift; base shear", uses.SUM, "", uses.SUM),
+    ("largest of all connections", "members beside any of them", "", "", uses.LARGEST),
+    ("with the tightening tolerance", "one connection", uses.TIGHTENED, "", uses.TIGHTENED),
+    ("per bolt and sliding surface", "", uses.PER_BOLT, uses.PER_BOLT, uses.PER_BOLT),
+    ("effective friction coefficient", "of the clamping stated", uses.FRICTION, uses.FRICTION, uses.FRICTION),
+    ("bolts for the force wanted", "in proportion to those tested", uses.WANTED_BOLTS, "", ""),
+    ("clamping of one bolt for it", "as tested, if their proof load allows", uses.WANTED_CLAMPING, "", ""),
+    ("force with the bolts for it", "in proportion", "", "", uses.WANTED_CAPACITY),
+    ("moment at the joint", "force x lever arm", uses.MOMENT, uses.MOMENT, uses.MOMENT),
+    ("storey force of one brace", "force x cos angle", uses.STOREY, uses.STOREY, uses.STOREY),
     ("nominal", "", "", NOMINAL, ""),
     ("ASCE 7: two analyses", "18.2.4; ageing in it", f"{ASCE} lower bound force", "", f"{ASCE} upper bound force"),
     ("ASCE 7: lambda on nominal", "18.2.4.5", f"lambda_min {FLOOR}", "", f"lambda_max {FLOOR}"),
@@ -71,37 +56,13 @@ LINES = (
     ("NZ: phi, second event", "", "phi equivalent, after a first earthquake", "", ""),
     ("EN 1990: X_k", "D7.2; divide the lower one by gamma_m", CHARACTERISTIC, "", CHARACTERISTIC),
     ("EN 1990: X_d from tests", "D7.3; no gamma_m to follow", X_D, "", X_D),
-    ("share accepted, one device", f"of good ones {PRODUCTION}", PASSES, "", ""),
-    ("share accepted, all connections", f"of good deliveries {PRODUCTION}", BATCH_PASSES, "", ""),
+    ("share accepted, one device", f"of good ones {PRODUCTION}", uses.PASSES, "", ""),
+    ("share accepted, all connections", f"of good deliveries {PRODUCTION}", uses.BATCH_PASSES, "", ""),
     ("initial stiffness", "", *STIFFNESS),
 )
 Tests = tuple[VirtualTestResult, ...]
 SCHEMA: Literal["shj-bayes/margins/1"] = "shj-bayes/margins/1"
 STEM = "margins"
-HEADS = {"set_name": "set", "degrees": "degrees_of_freedom"}
-"""Columns whose name in a file says more than the one in the code."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class MarginEntry:
-    """A margin; what cannot be given, or does not apply, is null."""
-
-    set: str
-    quantity: str
-    method: str
-    kind: str
-    side: str
-    value: float | None
-    unit: str
-    n_devices: int
-    degrees_of_freedom: Any  # "known" where they are infinite
-    clause: str
-    formula: str
-    inputs: str
-    purpose: str
-    note: str
-    warning: str
-    monte_carlo_error: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,10 +81,8 @@ class CardEntry:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MarginsRecord:
+class MarginsRecord(codec.Stored, file="margins.json", command="shj-bayes margins"):
     """Content of ``margins.json``."""
-
-    FILE: ClassVar[str] = "margins.json"
 
     schema: Literal["shj-bayes/margins/1"] = SCHEMA
     history: str
@@ -134,42 +93,8 @@ class MarginsRecord:
     cards: tuple[CardEntry, ...]
     warnings: tuple[str, ...]
     diagnoses: tuple[str, ...]
-    margins: tuple[MarginEntry, ...]
+    margins: tuple[Margin, ...]  # what cannot be given, or does not apply, is null
     over_amplitude: tuple[CyclePoint, ...]
-
-
-@dataclass(frozen=True)
-class CardLine:
-    """One use of a connection: what for, and which margins serve it."""
-
-    use: str
-    clause: str  # clause, or what the values are
-    low: Margin | None  # for displacement and drift
-    middle: Margin | None
-    high: Margin | None  # for the forces on what is connected
-
-    @property
-    def values(self) -> dict[str, Margin]:
-        """Margins that there are, by side."""
-        return {side: row for side, row in zip(SIDES, (self.low, self.middle, self.high), strict=True) if row}
-
-    def entry(self, set_name: str) -> CardEntry:
-        """Line of the card of a set in files."""
-        rows = self.values.values()
-        said = dict.fromkeys(row.formula for row in rows)
-        warned = dict.fromkeys(row.warning for row in rows if row.warning)
-        low, middle, high = (codec.finite(self.values[s].value) if s in self.values else None for s in SIDES)
-        return CardEntry(
-            set=set_name,
-            use=self.use,
-            low=low,
-            middle=middle,
-            high=high,
-            unit=next(iter(rows)).unit,
-            clause=self.clause,
-            formula="; ".join(said),
-            warning="; ".join(warned),
-        )
 
 
 def shown(index: Mapping[Key, Margin], name: str, quantity: str, kind: str, side: str) -> Margin | None:
@@ -178,15 +103,32 @@ def shown(index: Mapping[Key, Margin], name: str, quantity: str, kind: str, side
     return next((index[name, quantity, k, side] for k in kinds if (name, quantity, k, side) in index), None)
 
 
-def card_of(sheet: Sheet, name: str) -> Iterator[CardLine]:
-    """Give the lines of the card of a set: what a designer takes of it."""
+def card_of(sheet: Sheet, name: str) -> Iterator[tuple[str, str, dict[str, Margin]]]:
+    """Give the lines of the card of a set, what a designer takes of it: use, clause, margins by side."""
     for use, clause, *kinds in LINES:
-        found = [shown(sheet.by_key, name, _quantity(k, s), k, s) for k, s in zip(kinds, SIDES, strict=True)]
-        if any(row and (math.isfinite(row.value) or not sheet.withheld) for row in found):
-            said = found[1].formula if found[1] and use == "nominal" else clause
+        found = {
+            side: shown(sheet.by_key, name, _quantity(k, side), k, side) for k, side in zip(kinds, SIDES, strict=True)
+        }
+        values = {side: row for side, row in found.items() if row}
+        if any(math.isfinite(row.value) or not sheet.withheld for row in values.values()):
+            said = values[MIDDLE].formula if use == "nominal" else clause
             named = use.replace("all conn", f"{sheet.together} conn")
-            named = named.removesuffix(": use these two") if sheet.extrapolated else named
-            yield CardLine(named, said, *found)
+            yield named.removesuffix(": use these two") if sheet.extrapolated else named, said, values
+
+
+def _entries(sheet: Sheet, name: str) -> Iterator[CardEntry]:
+    """Lines of the card of a set as files have them."""
+    for use, clause, values in card_of(sheet, name):
+        rows = values.values()
+        yield CardEntry(
+            set=name,
+            use=use,
+            **{side: codec.finite(values[side].value) if side in values else None for side in SIDES},
+            unit=next(iter(rows)).unit,
+            clause=clause,
+            formula="; ".join(dict.fromkeys(row.formula for row in rows)),
+            warning="; ".join(dict.fromkeys(row.warning for row in rows if row.warning)),
+        )
 
 
 def _quantity(kind: str, side: str) -> str:
@@ -244,7 +186,7 @@ def connection_words(connection: Connection) -> str:
 
 def to_table(sheet: Sheet) -> Cells:
     """Every margin, one line each."""
-    heads = tuple(HEADS.get(f.name, f.name) for f in fields(Margin))
+    heads = tuple(key for key, *_ in codec.fields_of(Margin))
     numbers = ("value", "degrees")  # some are whole
     return Cells(heads, [[float(v) if k in numbers else v for k, v in vars(row).items()] for row in sheet.rows])
 
@@ -257,19 +199,19 @@ def to_json(sheet: Sheet) -> dict[str, Any]:
         extrapolated=sheet.extrapolated,
         reliability=sheet.reliability,
         facts={name: dict(facts_of(sheet, name)) for name in sheet.spoken},
-        cards=tuple(line.entry(name) for name in sheet.spoken for line in card_of(sheet, name)),
+        cards=tuple(line for name in sheet.spoken for line in _entries(sheet, name)),
         warnings=sheet.warnings,
         diagnoses=sheet.diagnoses,
-        margins=tuple(map(_entry, sheet.rows)),
+        margins=(),
         over_amplitude=sheet.over_amplitude,
     )
     written: dict[str, Any] = codec.to_json(record)
+    known = {"degrees_of_freedom": "known"}
+    heads = [key for key, *_ in codec.fields_of(Margin)]
+    for row in sheet.rows:  # thousands, which the general way takes long over
+        entry = codec.finite(dict(zip(heads, vars(row).values(), strict=True)))
+        written["margins"].append(entry | (known if math.isinf(row.degrees) else {}))
     return written
-
-
-def _entry(row: Margin) -> MarginEntry:
-    values = {HEADS.get(key, key): value for key, value in codec.finite(vars(row)).items()}
-    return MarginEntry(**values | ({"degrees_of_freedom": "known"} if math.isinf(row.degrees) else {}))
 
 
 def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
@@ -279,10 +221,20 @@ def write_margins(sheet: Sheet, folder: Path) -> tuple[Path, ...]:
     paths = tuple(folder / f"{STEM}{ending}" for ending in endings)
     write_text(paths[0], table.to_csv())
     _write_excel(sheet, table, paths[1])
-    write_text(paths[2], json.dumps(to_json(sheet), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    write_text(paths[2], _line_by_line(to_json(sheet)))
     write_text(paths[3], device_table(sheet).to_csv())
     write_text(paths[4], amplitude_table(sheet).to_csv())
     return paths
+
+
+def _line_by_line(content: Mapping[str, Any]) -> str:
+    """Content as JSON, a line for each item of a list: written at a stroke, which indented text is not."""
+    written = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
+    parts = []
+    for key, part in content.items():
+        text = "[\n " + ",\n ".join(map(written, part)) + "\n]" if isinstance(part, list) else written(part)
+        parts.append(f"{written(key)}: {text}")
+    return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
 def amplitude_table(sheet: Sheet) -> Cells:
@@ -324,10 +276,9 @@ def card_table(sheet: Sheet) -> Cells:
     """Cards of all sets: what each is, its lines, then every factor of a code that no line has."""
     lines: list[dict[str, Any]] = []
     for name in sheet.spoken:
-        card = list(card_of(sheet, name))
         lines += [{"set": name, "use": head, "clause": said} for head, said in facts_of(sheet, name)]
-        lines += [vars(line.entry(name)) for line in card]
-        told = {row.kind for line in card for row in line.values.values()}
+        lines += map(vars, _entries(sheet, name))
+        told = {row.kind for *_, values in card_of(sheet, name) for row in values.values()}
         rest = [r for r in sheet.rows if r.set_name == name and r.method == FACTORS and r.kind not in told]
         lines += [
             {"set": name, "use": r.kind, r.side: r.value, "unit": r.unit, "clause": r.clause,

@@ -14,7 +14,6 @@ from shj_bayes.errors import PopulationError, plain_text
 from shj_bayes.margins.specimen import Belief, Specimen, drive, largest_ranges
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.curve import curve_named
-from shj_bayes.model.effects.effect import Effect
 from shj_bayes.model.history import History, histories, on_scales_of
 from shj_bayes.options import MarginOptions
 from shj_bayes.recording.columns import choose_history
@@ -65,13 +64,8 @@ def values_to_try(specimen: Specimen) -> tuple[Mapping[str, float], ...]:
     multiplies the sliding force, so together they reach farthest.
     """
     found = measured_channels(specimen)
-    if not found:
-        return ({},)
-    return (
-        {one.coordinate: one.reference for one in found},
-        {one.coordinate: one.weakest for one in found},
-        {one.coordinate: one.strongest for one in found},
-    )
+    places = ("reference", "weakest", "strongest") if found else ("reference",)
+    return tuple({one.coordinate: getattr(one, place) for one in found} for place in places)
 
 
 def channel_words(by_device: Sequence[tuple[MeasuredChannel, ...]], *, own_test: bool) -> tuple[str, ...]:
@@ -240,22 +234,18 @@ def at_other_speeds(cases: Cases, specimen: Specimen, *, beyond: Mapping[str, fl
     """
     if not any(depends(belief, specimen.histories[-1], "speed") for belief in specimen.beliefs):
         return {}
-    bent = any(_over_speed(effect) for belief in specimen.beliefs for effect in belief.model.effects)
+    effects = [effect for belief in specimen.beliefs for effect in belief.model.effects]
+    over = [{c.coordinate} if (c := curve_named(e.id)) else {name for _, name in e.acts} for e in effects]
     largest = specimen.ranges["speed"]
     laws = {case.law for case in cases} if set(beyond) - {"speed"} else {next(iter(cases)).law}
     out = {}
     for case, runs in cases.items():
         at_largest = all(run.motion.peak_mm_s[1:-1].min(initial=np.inf) >= ALIKE_SPEED * largest for run in runs)
-        shares = SPEEDS if bent else (SPEEDS[0], SPEEDS[-1])
+        shares = SPEEDS if any("speed" in names for names in over) else (SPEEDS[0], SPEEDS[-1])
         for speed in largest * np.array(shares[:-1] if at_largest and not beyond else shares):
             if case.law in laws:
                 out[replace(case, speed_mm_s=float(speed))] = tuple(_at_speed(run, speed) for run in runs)
     return out
-
-
-def _over_speed(effect: Effect) -> bool:
-    curve = curve_named(effect.id)
-    return "speed" in ((curve.coordinate,) if curve else (over for _, over in effect.acts))
 
 
 def _at_speed(history: History, speed_mm_s: float) -> History:
@@ -277,21 +267,7 @@ def load_cases(
         own = {LoadCase("tested"): specimen.histories}
         return own | at_other_speeds(own, specimen, beyond={})
     runs = asked.through(specimen)
-    beyond = _beyond(runs, specimen)
-    cases = _cases(asked, specimen, runs, beyond, limits, extrapolate=extrapolate)
-    return cases | at_other_speeds(cases, specimen, beyond=beyond)
-
-
-def _cases(
-    asked: LoadingHistory,
-    specimen: Specimen,
-    runs: Sequence[History],
-    beyond: dict[str, float],
-    limits: Callable[[], str],
-    *,
-    extrapolate: bool,
-) -> Cases:
-    """Histories at their own speed: one where all was tested, else one for each law of what was not."""
+    beyond, values = _beyond(runs, specimen), values_to_try(specimen)
     name = f"{specimen.set_name}, {specimen.name}"
     if "position" in beyond:
         raise PopulationError(
@@ -299,12 +275,9 @@ def _cases(
             f"up to {specimen.ranges['position']:.4g} mm. Nothing is said outside: the bolt may meet the slot. "
             f"{limits().capitalize()}"
         )
-    beyond = {k: v for k, v in beyond.items() if any(depends(b, specimen.histories[-1], k) for b in specimen.beliefs)}
-    values = values_to_try(specimen)
-    if not beyond:
-        return {LoadCase("tested", tuple(at.items())): tuple(run.held(at) for run in runs) for at in values}
-    if not extrapolate:
-        coordinate, reached = next(iter(beyond.items()))
+    counts = {k: v for k, v in beyond.items() if any(depends(b, specimen.histories[-1], k) for b in specimen.beliefs)}
+    if counts and not extrapolate:
+        coordinate, reached = next(iter(counts.items()))
         unit, tested = coordinate_named(coordinate).unit, specimen.ranges[coordinate]
         extra = f" {published_factors(reached)}" if coordinate == "speed" else ""
         raise PopulationError(
@@ -312,11 +285,13 @@ def _cases(
             f"to {tested:.4g} {unit}, and its force depends on it.{extra} With --extrapolate the spread of bounded "
             f"laws is given instead; {limits()}"
         )
-    return {
-        LoadCase(law, tuple(at.items())): tuple(_stretched(run.held(at), specimen, beyond, shape) for run in runs)
-        for law, shape in LAWS.items()
+    shapes = LAWS if counts else {"tested": None}
+    cases = {
+        LoadCase(law, tuple(at.items())): tuple(_stretched(run.held(at), specimen, counts, shape) for run in runs)
+        for law, shape in shapes.items()
         for at in values
     }
+    return cases | at_other_speeds(cases, specimen, beyond=beyond)
 
 
 def _beyond(runs: Sequence[History], specimen: Specimen) -> dict[str, float]:
@@ -353,8 +328,10 @@ def depends(belief: Belief, history: History, coordinate: str) -> bool:
     return bool(np.abs(after - before).max() > CHANGE * np.abs(before).max())
 
 
-def _stretched(history: History, specimen: Specimen, beyond: dict[str, float], shape: Stretch) -> History:
-    """History in which coordinates beyond the tested end are those of a bounded law."""
+def _stretched(history: History, specimen: Specimen, beyond: dict[str, float], shape: Stretch | None) -> History:
+    """History in which coordinates beyond the tested end are those of a bounded law; the same where there are none."""
+    if shape is None:
+        return history
 
     def bounded(values: FloatArray, name: str) -> FloatArray:
         if name not in beyond:
@@ -378,13 +355,11 @@ def published_factors(speed_mm_s: float) -> str:
     Eq. (2) multiplies the force by 1 + v/dep; fitted at one peak speed that is a tangent, not a law.
     """
     up, down = (1.0 + speed_mm_s / dep for dep in PUBLISHED_DEP)
+    tangent = (
+        ": a friction force that pushes the way it moves, and feeds energy in. That is the tangent of a curve "
+        "at one speed, drawn on as a line, and means nothing there."
+    )
     return (
         f"At {speed_mm_s:.4g} mm/s the published law multiplies the sliding force by {up:.3g} for dep = +30 mm/s and "
-        f"by {down:.3g} for dep = -30 mm/s"
-        + (
-            ": a friction force that pushes the way it moves, and feeds energy in. That is the tangent of a curve "
-            "at one speed, drawn on as a line, and means nothing there."
-            if down < 0
-            else "."
-        )
+        f"by {down:.3g} for dep = -30 mm/s{tangent if down < 0 else '.'}"
     )

@@ -8,14 +8,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.basis import (
     DEFAULT,
     DEGRADATION,
     RANK,
     SIDES,
-    DesignBasis,
     PredictiveDevices,
     design_basis,
     force_ends,
@@ -66,6 +64,8 @@ OWN_TEST = "the test that each device went through"
 DRIFT, CAPACITY = "for drift and displacement", "for capacity design"
 NOMINAL = "nominal sliding force"
 EXTRAPOLATED = "extrapolated, not tested"
+Samples = Mapping[str, Mapping[str, Sample]]
+"""Devices by quantity and set."""
 
 
 LAWS_PART = 1.1
@@ -150,31 +150,27 @@ def pool(
     devices = [test.estimate(tags[test.set_name]) for test in tests]
     design = fit_population(devices, seed=result.seed, progress=progress, brief=True, known=known)
     design = replace(design, tested=result.tested)
-    return _carried(design, tests) if known is None and any(test.carried for test in tests) else design
+    if known is not None or not any(test.carried for test in tests):
+        return design
 
+    def wider(label: str, fits: Mapping[str, QuantityPosterior]) -> dict[str, QuantityPosterior]:
+        """Add the error that a model had in its own test to the level of each set.
 
-def _carried(design: PopulationResult, tests: Sequence[VirtualTestResult]) -> PopulationResult:
-    """Add the error that a model had in its own test to the level of each set.
+        It is common to all devices of a rig: as one more error of each device it would average out.
+        """
+        out = {}
+        for q, fit in fits.items():
+            rng = np.random.default_rng([design.seed, *label.encode(), *q.encode()])
+            mu = fit.mu.copy()
+            for i, name in enumerate(design.set_names):
+                gaps = [t.model_errors[q] for t in tests if t.set_name == name and q in t.model_errors]
+                if gaps:
+                    mu[:, i] += float(np.sqrt(np.mean(np.square(gaps)))) * rng.standard_normal(mu.shape[0])
+            out[q] = replace(fit, mu=mu)
+        return out
 
-    It is common to all devices of a rig: as one more error of each device it would average out.
-    """
-
-    def wider(label: str, fit: QuantityPosterior) -> QuantityPosterior:
-        rng = np.random.default_rng([design.seed, *label.encode(), *fit.name.encode()])
-        mu = fit.mu.copy()
-        for i, name in enumerate(design.set_names):
-            gaps = [t.model_errors[fit.name] for t in tests if t.set_name == name and fit.name in t.model_errors]
-            if gaps:
-                mu[:, i] += float(np.sqrt(np.mean(np.square(gaps)))) * rng.standard_normal(mu.shape[0])
-        return replace(fit, mu=mu)
-
-    return replace(
-        design,
-        posteriors={q: wider("default", fit) for q, fit in design.posteriors.items()},
-        other_priors={
-            label: {q: wider(label, fit) for q, fit in fits.items()} for label, fits in design.other_priors.items()
-        },
-    )
+    others = {label: wider(label, fits) for label, fits in design.other_priors.items()}
+    return replace(design, posteriors=wider(DEFAULT, design.posteriors), other_priors=others)
 
 
 def margins(
@@ -203,15 +199,17 @@ def margins(
     fastest = tested if asked is None else max(tested, float(asked.motion.speed_mm_s.max()))
     history = OWN_TEST if asked is None else asked.words
     said = connections or {}
-    rows = tuple(_as_tested(row, history, withheld, laws) for row in _rows(design, own, request, said))
+    by_set = {group.name: samples(group) for group in design.sets}
+    together = {q: {name: own[q] for name, own in by_set.items() if q in own} for q in design.posteriors}
+    wider = {q: spreading_more(of_sets) for q, of_sets in together.items()}
+    drawn_up = _rows(design, own, request, said, together, wider)
+    rows = tuple(_as_tested(row, history, withheld, laws) for row in drawn_up)
     compared, contradictions = agreement([row for row in rows if row.set_name in spoken], request.probability)
-    followed = channel_words([test.channels for test in own], own_test=asked is None)
-    read = () if asked is None else asked.found
     warnings = (
-        *read,
+        *(() if asked is None else asked.found),
         *contradictions,
-        *_warnings(design, request, spoken, asked, laws),
-        *followed,
+        *_warnings(design, request, spoken, asked, laws, together, wider),
+        *channel_words([test.channels for test in own], own_test=asked is None),
         compared,
     )
     head = (rows, history, design.tested, bool(laws), spoken, n_sets, warnings, tuple(words), own, withheld, fastest)
@@ -236,19 +234,26 @@ def _rows(
     tests: Sequence[VirtualTestResult],
     request: MarginOptions,
     connections: Mapping[str, Connection],
+    together: Samples,
+    wider: Mapping[str, Collection[str]],
 ) -> Iterator[Margin]:
-    by_set = {group.name: samples(group) for group in result.sets}
-    common = {q: common_spread([s[q] for s in by_set.values() if q in s]) for q in result.posteriors}
-    wider = {q: spreading_more({name: s[q] for name, s in by_set.items() if q in s}) for q in result.posteriors}
+    common = {q: common_spread(list(of_sets.values())) for q, of_sets in together.items()}
     for name in request.sets or (*result.set_names, ANY_SET):
         devices = predictive_devices(result, name)
-        thirds = [test.third_mm_s for test in tests if name in (ANY_SET, test.set_name)]
-        third = float(np.median(thirds or [math.nan]))
+        third = float(np.median([t.third_mm_s for t in tests if name in (ANY_SET, t.set_name)] or [math.nan]))
         basis = design_basis(result, name, devices, request.stated_nominal, third, request.probability)
-        given = _given(name, by_set, common, basis, request, {q for q, sets in wider.items() if name in sets})
+        if name == ANY_SET:  # the sets are the sample
+            each = {q: between_sets(list(of_sets.values())) for q, of_sets in together.items() if of_sets}
+            n = {q: sum(sample.n for sample in together[q].values()) for q in each}
+        else:
+            own = {q: of_sets[name] for q, of_sets in together.items() if name in of_sets}
+            each = {q: (s, of_set(s, common[q], MORE if name in wider[q] else "")) for q, s in own.items()}
+            n = {q: sample.n for q, sample in own.items()}
+        own, spreads = {q: sample for q, (sample, _) in each.items()}, {q: ways for q, (_, ways) in each.items()}
+        given = Given(name, own, spreads, n, basis, request)
         yield from _first(given)
         yield from uses(given, result, devices, connections.get(name, Connection()))
-        found = list(bands_of_set(result, name, devices, given.devices))
+        found = list(bands_of_set(result, name, devices, n))
         found += [row for code in catalogue() for row in code.rows(given)]
         yield from found
         yield from (_degradation(row) for row in found if row.quantity == "ratio" and row.method != BANDS)
@@ -264,97 +269,73 @@ def bands_of_set(
     `n_devices` are those behind each quantity. No force passes one that it is a part of (`force_ends`).
     """
     forces = force_ends(devices, n_devices)
-    for quantity in devices[DEFAULT].draws:
+    for quantity, draws in devices[DEFAULT].draws.items():
         of_ratio = quantity == DEGRADATION
         source = "ratio" if of_ratio else quantity
-        own = own_devices(result, set_name, (source,))
-        count = priors_that_count(tuple(devices), own)
+        own, unit = own_devices(result, set_name, (source,)), described(source).unit
+        count = len(priors_that_count(tuple(devices), own))
         for side, level in SIDES.items():
             by_prior = {label: d.ordered(quantity).with_error(level) for label, d in devices.items()}
             listed = "; ".join(f"{value:.4g} under the prior '{label}'" for label, (value, _) in by_prior.items())
             value, error = least_favourable(by_prior, side, own)
-            note = f"outermost of {len(count)} priors of the spread: the set has {own} devices of its own"
-            head = (set_name, quantity, BANDS, f"new device, {100 * level:.0f} %", side)
-            notes = [note] if len(count) > 1 and side != MIDDLE else []
+            notes = []
+            if count > 1 and side != MIDDLE:
+                notes.append(f"outermost of {count} priors of the spread: the set has {own} devices of its own")
             if (held := forces.get((quantity, side), (value,))[0]) != value:
-                notes.append(f"by itself {value:.4g} {described(source).unit}, held within those of all runs")
-            number = (held, described(source).unit, n_devices.get(source, 0), math.nan)
+                notes.append(f"by itself {value:.4g} {unit}, held within those of all runs")
             origin = (
                 "predictive distribution, decision 0004",
                 f"{100 * level:.0f} % quantile over draws of set level and spread",
-                f"{devices[DEFAULT].draws[source].size} draws; {listed}",
+                f"{draws.size} draws; {listed}",
                 (LOSS if of_ratio else PURPOSE)[side] + SERVICE.get((side, base_of(source)), ""),
             )
-            yield Margin(*head, *number, *origin, "; ".join(notes), monte_carlo_error=error)
+            head = (set_name, quantity, BANDS, f"new device, {100 * level:.0f} %", side, held, unit)
+            n = n_devices.get(source, 0)
+            yield Margin(*head, n, math.nan, *origin, "; ".join(notes), monte_carlo_error=error)
 
 
 def _first(given: Given) -> Iterator[Margin]:
     """Give the one number for drift and the one for capacity design."""
     force = given.basis.force
+    age = f"as tested: ageing is in the ASCE 7 and EN 15129 bounds alone ({given.basis.age.words})"
     for kind, side, value, what in (
         (DRIFT, LOW, force.low, "smallest plateau force of all runs (quantity lowest), at any speed"),
         (CAPACITY, HIGH, force.high, "largest force of all runs (quantity highest), at any speed"),
     ):
-        purpose = PURPOSE[side] + SERVICE.get((side, LOWEST), "")
-        said = f"{force.level(side)} % of the {what}"
-        age = f"as tested: ageing is in the ASCE 7 and EN 15129 bounds alone ({given.basis.age.words})"
+        purpose, said = PURPOSE[side] + SERVICE.get((side, LOWEST), ""), f"{force.level(side)} % of the {what}"
         origin = Origin("predictive distribution, decision 0006", said, force.words, purpose, age)
         yield given.of_force(kind, side, value, "kN", origin, DESIGN)
 
 
 def _spreads(result: PopulationResult, name: str, tests: Sequence[VirtualTestResult]) -> Iterator[Margin]:
-    """Where the width of a band comes from: device to device, within a device, model."""
+    """Where the width of a band comes from: device to device, within a device, model (EN 1990 D8)."""
     index = result.index(name)
     for q, fit in result.posteriors.items():
         within = [test.errors[q] for test in tests if q in test.errors]
         gaps = np.array([test.model_errors[q] for test in tests if q in test.model_errors])
         cycles = np.concatenate([np.empty(0), *(test.cycle_errors for test in tests)])
-        between, least = float(np.median(fit.tau[:, index])), math.nan
-        if within:
-            least = float(np.sqrt(np.mean(np.square(within))))
+        least = float(np.sqrt(np.mean(np.square(within)))) if within else math.nan
         found = [
-            (POOLED, "device to device", between, "median of the spread of the set", "how much devices differ"),
+            (POOLED, "device to device", float(np.median(fit.tau[:, index])), "median of the spread of the set",
+             "how much devices differ"),
             (POOLED, "within a device", least, "posterior of each device and reading of its recording",
              "how well a tested device is known"),
         ]  # fmt: skip
-        if gaps.size:
-            found += _model_error(gaps, "", "measured over predicted")
-        if q == "plateau" and cycles.size > 1:
-            said = f"measured over predicted plateau of {cycles.size} half-cycles, each predicted without it"
-            found += _model_error(cycles, " of a half-cycle left out", said)
+        half_cycles = f"measured over predicted plateau of {cycles.size} half-cycles, each predicted without it"
+        for logs, where, said in (
+            (gaps, "", "measured over predicted"),
+            (cycles if q == "plateau" and cycles.size > 1 else np.empty(0), " of a half-cycle left out", half_cycles),
+        ):
+            if logs.size:
+                bias, scatter = float(np.exp(logs.mean())), float(logs.std(ddof=1)) if logs.size > 1 else math.nan
+                found += [
+                    ("EN 1990 D8", f"model, b{where}", bias, f"mean of {said}", "bias of the model"),
+                    ("EN 1990 D8", f"model, V_delta{where}", scatter, f"scatter of {said}", "error of the model"),
+                ]
         for clause, kind, value, formula, purpose in found:
             note = "one device tells no scatter" if math.isnan(value) else ""
             origin = (clause, formula, f"{len(within)} devices", purpose, note)
             yield Margin(name, q, SPREAD, kind, MIDDLE, value, "1", len(within), math.nan, *origin)
-
-
-def _model_error(logs: FloatArray, where: str, said: str) -> list[tuple[str, str, float, str, str]]:
-    """Bias and scatter of a model, EN 1990 D8, from logarithms of measured over predicted."""
-    scatter = float(logs.std(ddof=1)) if logs.size > 1 else math.nan
-    return [
-        ("EN 1990 D8", f"model, b{where}", float(np.exp(logs.mean())), f"mean of {said}", "bias of the model"),
-        ("EN 1990 D8", f"model, V_delta{where}", scatter, f"scatter of {said}", "error of the model"),
-    ]
-
-
-def _given(
-    name: str,
-    by_set: Mapping[str, dict[str, Sample]],
-    common: Mapping[str, tuple[float, int]],
-    basis: DesignBasis,
-    request: MarginOptions,
-    wider: Collection[str],
-) -> Given:
-    """Draw up what the codes are given of one set, `wider` in these; of a set never tested, the sets as the sample."""
-    if name != ANY_SET:
-        own = by_set[name]
-        spreads = {q: of_set(sample, common[q], MORE if q in wider else "") for q, sample in own.items()}
-        return Given(name, own, spreads, {q: s.n for q, s in own.items()}, basis, request)
-    together = {q: [s[q] for s in by_set.values() if q in s] for q in common}
-    clustered = {q: between_sets(of_sets) for q, of_sets in together.items() if of_sets}
-    own = {q: sample for q, (sample, _) in clustered.items()}
-    spreads = {q: ways for q, (_, ways) in clustered.items()}
-    return Given(name, own, spreads, {q: sum(s.n for s in together[q]) for q in clustered}, basis, request)
 
 
 def _degradation(row: Margin) -> Margin:
@@ -378,6 +359,8 @@ def _warnings(
     spoken: Sequence[str],
     asked: LoadingHistory | None,
     laws: Sequence[str],
+    together: Samples,
+    wider: Mapping[str, Mapping[str, tuple[float, float]]],
 ) -> Iterator[str]:
     """Say what limits the use of the margins: what was taken as known, what was not tested, where tests are too few."""
     tested = result.tested
@@ -404,44 +387,30 @@ def _warnings(
             "Drawn up for what --set names alone. How much devices of a set differ is learnt from all sets that were "
             f"tested ({len(result.sets)}); without --set the sheet holds them all."
         )
-    yield from _unequal_spreads(result, spoken)
-    yield from _few_devices(result, spoken)
-    if f"{MOST}_2" not in result.posteriors:
-        yield "No device has a second run, so nothing is said of a second earthquake."
-
-
-def _unequal_spreads(result: PopulationResult, spoken: Sequence[str]) -> Iterator[str]:
-    """Say which sets spread more than the others, so that the spread common to all sets is not theirs."""
-    by_set = {group.name: samples(group) for group in result.sets}
-    found: dict[str, list[tuple[float, float, str]]] = {}
-    for q in result.posteriors:
-        for name, (times, p) in spreading_more({n: s[q] for n, s in by_set.items() if q in s}).items():
-            found.setdefault(name, []).append((p, times, q))
     told = []
-    for name in (n for n in spoken if n in found):
-        _, times, q = min(found[name])
-        values, unit = by_set[name][q].values, described(q).unit
-        seen = f"{q} {values.min():.3g} to {values.max():.3g}{'' if unit == '1' else f' {unit}'}"
-        told.append(f"{name} {times:.1f} times as much ({seen}; so in {len(found[name])} quantities)")
+    for name in spoken:
+        found = [(p, times, q) for q, sets in wider.items() for times, p in [sets.get(name, (0.0, math.nan))] if times]
+        if found:
+            _, times, q = min(found)
+            values, unit = together[q][name].values, described(q).unit
+            seen = f"{q} {values.min():.3g} to {values.max():.3g}{'' if unit == '1' else f' {unit}'}"
+            told.append(f"{name} {times:.1f} times as much ({seen}; so in {len(found)} quantities)")
     if told:
         yield (
             f"The sets do not spread alike (F test of each against all others): {', '.join(told)}. EN 1990 and ISO "
             "16269-6 values with the spread common to all sets are too narrow for these and too wide for the others; "
             "take the bands of a new device, which allow for it."
         )
-
-
-def _few_devices(result: PopulationResult, spoken: Sequence[str]) -> Iterator[str]:
-    """Say how many sets rest on fewer than three devices."""
     counts = [n for name, n in zip(result.set_names, result.fit(THIRD_CYCLE).n_devices, strict=True) if name in spoken]
-    few = sum(n < 3 for n in counts)
-    if few:
+    if few := sum(n < 3 for n in counts):
         which = f"{few} of {len(counts)} sets rest" if len(counts) > 1 else "The set rests"
         yield (
             f"{which} on one or two devices. The smallest and largest of two hold 90 % "
             "of all devices with a confidence of only 1 %: two devices are not a band. Three devices of a "
             "set, tested alike, give EN 1990 X_k from their own spread, four X_d as well."
         )
+    if f"{MOST}_2" not in result.posteriors:
+        yield "No device has a second run, so nothing is said of a second earthquake."
 
 
 SLACK = 0.02
@@ -472,33 +441,27 @@ def agreement(rows: Sequence[Margin], reliability: float = SIDES[HIGH]) -> tuple
 def _disagreements(name: str, rows: Sequence[Margin], reliability: float) -> Iterator[str]:
     forces = [row for row in rows if row.method in (FACTORS, DESIGN) and row.unit == "kN"]
     lower, upper = ([row for row in forces if row.side == side] for side in (LOW, HIGH))
-    scale = max((abs(row.value) for row in rows if row.quantity == "third" and row.side == MIDDLE), default=0.0)
     ends = [row for row in rows if row.method == BANDS and base_of(row.quantity) in RANK]
-    lows, highs = ([row for row in ends if row.side == side] for side in (LOW, HIGH))
-    rarer = reliability >= SIDES[HIGH]
-    pairs = [(bound, end) for bound in lower for end in (*(lows if rarer else ()), *upper)]
-    pairs += [(end, bound) for bound in upper for end in (highs if rarer else ())]
+    lows, highs = ([row for row in ends if row.side == side and reliability >= SIDES[HIGH]] for side in (LOW, HIGH))
+    pairs = [(bound, end) for bound in lower for end in (*lows, *upper)]
+    pairs += [(end, bound) for bound in upper for end in highs]
     pairs += [(a, b) for a in ends for b in ends if a.side == b.side and is_part(a.quantity, b.quantity)]
-    own = {(LOWEST, LOW), (HIGHEST, HIGH)}  # the two numbers are what they are said to be
     two = [row for row in forces if row.method == DESIGN and reliability == SIDES[HIGH]]
-    same = [(row, e) for row in two for e in ends if (e.quantity, e.side) in own]
-    pairs += [p for row, e in same if row.side == e.side for p in ((row, e), (e, row))]
-    for lesser, greater in dict.fromkeys(pairs):
-        yield from _above(name, lesser, greater, scale)
+    own = {(LOWEST, LOW), (HIGHEST, HIGH)}  # the two numbers are what they are said to be
+    same = [(row, e) for row in two for e in ends if (e.quantity, e.side) in own and row.side == e.side]
+    pairs += [p for row, e in same for p in ((row, e), (e, row))]
+    scale = max((abs(row.value) for row in rows if row.quantity == "third" and row.side == MIDDLE), default=0.0)
+    ordered = [(lesser, greater, scale) for lesser, greater in dict.fromkeys(pairs)]
     ladder: dict[tuple[str, str], dict[str, Margin]] = {}
     for row in rows:
         kind = "new device" if row.method == BANDS else row.kind
         ladder.setdefault((row.quantity, kind), {})[row.side] = row
     for steps in ladder.values():
-        ordered = [steps[side] for side in (LOW, MIDDLE, HIGH) if side in steps]
-        for a, b in pairwise(ordered):
-            yield from _above(name, a, b, abs(a.value))
-
-
-def _above(name: str, lesser: Margin, greater: Margin, scale: float) -> Iterator[str]:
-    """Say so where what should be the lesser lies above; NaN, which stands for no value, contradicts nothing."""
-    if lesser.value > greater.value + SLACK * scale:
-        yield (
-            f"CONTRADICTION, {name}: {lesser.kind} ({lesser.quantity}, {lesser.value:.4g} {lesser.unit}) lies above "
-            f"{greater.kind} ({greater.quantity}, {greater.value:.4g} {greater.unit}). Use neither before it is settled"
-        )
+        ordered += [(a, b, abs(a.value)) for a, b in pairwise(steps[s] for s in (LOW, MIDDLE, HIGH) if s in steps)]
+    for lesser, greater, whole in ordered:
+        if lesser.value > greater.value + SLACK * whole:  # NaN, which stands for no value, contradicts nothing
+            yield (
+                f"CONTRADICTION, {name}: {lesser.kind} ({lesser.quantity}, {lesser.value:.4g} {lesser.unit}) lies "
+                f"above {greater.kind} ({greater.quantity}, {greater.value:.4g} {greater.unit}). Use neither before it "
+                "is settled"
+            )

@@ -14,7 +14,7 @@ from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.history import History, histories
 from shj_bayes.model.law import BETA_RANGE
 from shj_bayes.model.priors import read_priors
-from shj_bayes.population.hierarchy import DeviceSet, PopulationResult
+from shj_bayes.population.hierarchy import PopulationResult
 from shj_bayes.population.quantities import QUANTITIES
 from shj_bayes.recording.motion import exact_motion, table_1
 from shj_bayes.results.device import DeviceResult
@@ -57,32 +57,24 @@ def find_diagnosis(folder: Path) -> tuple[Diagnosed | None, str]:
 
 def words_of(found: Mapping[Key, Diagnosed], n_devices: int, notes: Iterable[str] = ()) -> tuple[str, ...]:
     """Say what the diagnoses found, by (set, device), of how many devices, and what could not be used (`notes`)."""
-    changed = [
-        _words(f"{key[0]}, {key[1]}", d) for key, d in found.items() if d.verdict is not DiagnosisVerdict.ADEQUATE
-    ]
-    return (*changed, _how_many(len(found), n_devices), *notes)
-
-
-def _how_many(diagnosed: int, devices: int) -> str:
-    if diagnosed == 0:
-        return (
+    out = []
+    for (set_name, name), diagnosis in found.items():
+        what = ", ".join(diagnosis.found) or "something without a name"
+        first_look = " (first look without a posterior: bounds rest on the law alone and on what was measured)"
+        said = {
+            DiagnosisVerdict.NAMED: what,
+            DiagnosisVerdict.FAMILY: f"one of {what}, not told apart",
+            DiagnosisVerdict.UNKNOWN: f"left out and not explained by the catalogue; best model found: {what}",
+        }
+        if diagnosis.verdict is not DiagnosisVerdict.ADEQUATE:
+            out.append(f"{set_name}, {name}: {said[diagnosis.verdict]}{'' if diagnosis.fit else first_look}")
+    others = "; the others rest on the law as published" if len(found) < n_devices else ""
+    how_many = f"{len(found)} of {n_devices} devices have a diagnosis{others}."
+    if not found:
+        how_many = (
             "No device has a diagnosis: the margins rest on the law as published (shj-bayes diagnose looks beyond it)."
         )
-    others = "; the others rest on the law as published" if diagnosed < devices else ""
-    return f"{diagnosed} of {devices} devices have a diagnosis{others}."
-
-
-def _words(name: str, diagnosis: Diagnosed) -> str:
-    what = ", ".join(diagnosis.found) or "something without a name"
-    tail = (
-        ""
-        if diagnosis.fit
-        else " (first look without a posterior: bounds rest on the law alone and on what was measured)"
-    )
-    return {
-        DiagnosisVerdict.NAMED: f"{name}: {what}{tail}",
-        DiagnosisVerdict.FAMILY: f"{name}: one of {what}, not told apart{tail}",
-    }.get(diagnosis.verdict, f"{name}: left out and not explained by the catalogue; best model found: {what}{tail}")
+    return (*out, how_many, *notes)
 
 
 N_DRAWS = 64
@@ -122,13 +114,8 @@ class Specimen:
     def ranges(self) -> dict[str, float]:
         """Largest value of every coordinate in its test: position (mm), speed (mm/s), travel (m), time (s)."""
         last = self.histories[-1]
-        travel = float(last.travel_m[-1])
-        return {
-            "position": last.half_stroke_mm,
-            "speed": last.peak_speed_mm_s,
-            "travel": travel,
-            "time": last.tested_s,
-        }
+        ends = (last.half_stroke_mm, last.peak_speed_mm_s, float(last.travel_m[-1]), last.tested_s)
+        return dict(zip(("position", "speed", "travel", "time"), ends, strict=True))
 
 
 def drive(
@@ -179,30 +166,20 @@ def specimens_of_table(result: PopulationResult) -> tuple[Specimen, ...]:
     models = {n: DeviceModel(n, read_priors(), variant=variant) for n in tested}
     out = []
     for group in result.sets:
-        for i, name in enumerate(group.devices):
-            theta = _table_draws(group, i, result.seed)
-            if theta is None:
-                continue
-            n_runs = 2 if "ratio" in theta else 1
-            model = models[n_runs]
-            columns = [theta.get(name, np.zeros(N_DRAWS)) for name in model.names]
-            belief = Belief(model, np.stack(columns, axis=1))
-            out.append(Specimen(name, group.name, (belief,), tested[n_runs], (0.0,) * n_runs))
+        for i, device in enumerate(group.devices):
+            rng, theta = np.random.default_rng([result.seed, i]), dict[str, FloatArray]()
+            for q in ("K", "Fy", "beta", "gamma", "ratio"):
+                points = group.points.get(q, ())
+                if i < len(points) and np.isfinite(points[i]):
+                    error = np.nan_to_num(group.errors.get(q, (0.0,) * len(points))[i])
+                    drawn = QUANTITIES[q].natural(points[i] + error * rng.standard_normal(N_DRAWS))
+                    theta[q] = np.clip(drawn, *BETA_RANGE) if q == "beta" else drawn
+            if {"K", "Fy", "beta", "gamma"} <= set(theta):
+                n_runs = 2 if "ratio" in theta else 1
+                columns = [theta.get(name, np.zeros(N_DRAWS)) for name in models[n_runs].names]
+                belief = Belief(models[n_runs], np.stack(columns, axis=1))
+                out.append(Specimen(device, group.name, (belief,), tested[n_runs], (0.0,) * n_runs))
     return tuple(out)
-
-
-def _table_draws(group: DeviceSet, index: int, seed: int) -> dict[str, FloatArray] | None:
-    """Draws of a device from its values and their errors; None where one that the law needs is missing."""
-    rng = np.random.default_rng([seed, index])
-    out = {}
-    for q in ("K", "Fy", "beta", "gamma", "ratio"):
-        point = group.points.get(q, ())
-        if index >= len(point) or not np.isfinite(point[index]):
-            continue
-        error = group.errors.get(q, (0.0,) * len(point))[index]
-        drawn = QUANTITIES[q].natural(point[index] + np.nan_to_num(error) * rng.standard_normal(N_DRAWS))
-        out[q] = np.clip(drawn, *BETA_RANGE) if q == "beta" else drawn
-    return out if {"K", "Fy", "beta", "gamma"} <= set(out) else None
 
 
 def largest_ranges(specimens: Sequence[Specimen]) -> dict[str, float]:

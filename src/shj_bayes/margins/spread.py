@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from scipy.special import fdtrc
@@ -17,6 +17,7 @@ from shj_bayes.population.quantities import quantity
 BANDS, TESTING, TOLERANCE, FACTORS = "new device", "EN 1990", "tolerance", "factor"
 DESIGN, SPREAD, USE = "design", "spread", "use"
 LOW, MIDDLE, HIGH = "low", "middle", "high"
+FloatOrNull = Annotated[float, {"type": ["number", "null"]}]  # null in a file where it is NaN
 Key = tuple[str, str, str, str]
 """Set, quantity, kind, side."""
 V_KNOWN, V_UNKNOWN, V_COMMON, V_BETWEEN = "V known", "V unknown", "V common", "V between sets"
@@ -42,18 +43,18 @@ class Origin(NamedTuple):
 class Margin:
     """A margin of one set in one quantity."""
 
-    set_name: str  # the set, or "(any set)" for one never tested
+    set_name: str = field(metadata={"key": "set"})  # the set, or "(any set)" for one never tested
     # a design quantity (lowest, highest, least, most, plateau, third, energy; ``_2`` and so on for later runs), ratio,
     # degradation, K; or force, for what bounds the force of all runs
     quantity: str
     method: str  # design, use, new device, EN 1990, tolerance, factor or spread
     kind: str  # what it is, in a few words
     side: str  # "low", "middle", "high": which side of the typical value it bounds
-    value: float  # the number; NaN where it cannot be given, with the reason in ``note``
+    value: FloatOrNull  # the number; NaN where it cannot be given, with the reason in ``note``
     unit: str  # its unit, "1" for none
     n_devices: int  # devices of the set (of all sets for one never tested)
     # degrees of freedom of the spread; infinity where it is taken as known; NaN where the notion does not apply
-    degrees: float
+    degrees: Annotated[float, {"type": ["number", "string", "null"]}] = field(metadata={"key": "degrees_of_freedom"})
     # clause to purpose: clause, formula in words and signs, the numbers put into it, and what it is for
     clause: str
     formula: str
@@ -62,7 +63,7 @@ class Margin:
     note: str = ""  # what to mind
     warning: str = ""  # a few words that belong into the same cell as the value wherever it is shown; empty for none
     # standard error of the value from the number of draws, in its unit
-    monte_carlo_error: float = field(default=0.0, kw_only=True)
+    monte_carlo_error: FloatOrNull = field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
         """Refuse a number without origin."""

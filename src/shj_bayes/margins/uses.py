@@ -1,20 +1,14 @@
 """What a designer does with the force of one connection: single events, many connections, bolts, joint, acceptance."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import PopulationError
-from shj_bayes.margins.basis import (
-    PredictiveDevices,
-    least_favourable,
-    levels_of,
-    own_devices,
-    reading_error,
-)
+from shj_bayes.margins.basis import PredictiveDevices, least_favourable, levels_of, own_devices, reading_error
 from shj_bayes.margins.codes.code import Given
 from shj_bayes.margins.spread import HIGH, LOW, MIDDLE, USE, Margin
 from shj_bayes.options import in_mm
@@ -166,14 +160,14 @@ def _together(one: OneSet) -> Iterator[Margin]:
         return
     inputs = f"{n} connections of one delivery: the level of the set is common, the scatter about it is their own{said}"
     note = "smallest plateaus, and largest forces, need not come at the same moment: their sum is on the safe side"
-    for kind, take, sides, what in (
-        (SUM, np.sum, (LOW, HIGH), {LOW: "drift of the storey", HIGH: "base shear, foundation"}),
-        (LARGEST, np.max, (HIGH,), {HIGH: f"members beside any of {n} connections"}),
+    for kind, take, side, what in (
+        (SUM, np.sum, LOW, "drift of the storey"),
+        (SUM, np.sum, HIGH, "base shear, foundation"),
+        (LARGEST, np.max, HIGH, f"members beside any of {n} connections"),
     ):
-        for side in sides:
-            number = of_many(one, side, n, lambda drawn, take=take: take(drawn, axis=0), own_sd)  # type: ignore[misc]
-            formula = f"{force.level(side)} % of the {kind.partition(' ')[0]} of {n} x {WHAT[side]}"
-            yield one.row(kind, side, "kN", number, formula, inputs, what[side], note if kind == SUM else "")
+        number = of_many(one, side, n, lambda drawn, take=take: take(drawn, axis=0), own_sd)  # type: ignore[misc]
+        formula = f"{force.level(side)} % of the {kind.partition(' ')[0]} of {n} x {WHAT[side]}"
+        yield one.row(kind, side, "kN", number, formula, inputs, what, note if kind == SUM else "")
 
 
 def _of_bolts(one: OneSet) -> Iterator[Margin]:
@@ -218,15 +212,17 @@ def _wanted(one: OneSet) -> Iterator[Margin]:
 def _at_the_joint(one: OneSet) -> Iterator[Margin]:
     """Moment of a joint with its lever arm, storey force of a brace at its angle."""
     request = one.given.request
+    arms: list[tuple[str, str, float, str, str]] = []
+    if request.lever_arm is not None:
+        arm = in_mm(request.lever_arm) / 1000.0
+        arms.append((MOMENT, "kNm", arm, "force x lever arm", f"kN x {arm:g} m"))
+    if (angle := request.brace_angle_deg) is not None:
+        share = math.cos(math.radians(angle))
+        arms.append((STOREY, "kN", share, "force x cos angle", f"kN (force of the brace) x cos {angle:g} deg"))
     for side, (value, error) in one.forces.items():
-        if request.lever_arm is not None:
-            arm = in_mm(request.lever_arm) / 1000.0
-            inputs = f"{value:.4g} kN x {arm:g} m"
-            yield one.row(MOMENT, side, "kNm", (value * arm, error * arm), "force x lever arm", inputs, FOR[side])
-        if request.brace_angle_deg is not None:
-            share = math.cos(math.radians(request.brace_angle_deg))
-            inputs = f"{value:.4g} kN (force of the brace) x cos {request.brace_angle_deg:g} deg"
-            yield one.row(STOREY, side, "kN", (value * share, error * share), "force x cos angle", inputs, FOR[side])
+        for kind, unit, factor, formula, inputs in arms:
+            number = (value * factor, error * factor)
+            yield one.row(kind, side, unit, number, formula, f"{value:.4g} {inputs}", FOR[side])
 
 
 def _accepted(one: OneSet) -> Iterator[Margin]:
@@ -235,10 +231,13 @@ def _accepted(one: OneSet) -> Iterator[Margin]:
     for kind, count, who in ((PASSES, 1, "one device"), (BATCH_PASSES, n, f"all of {n}")):
         if count is None:
             continue
-        shares: Mapping[str, Number] = {
-            label: _share(_within(one, device.draws[THIRD_CYCLE], label, count, nominal))
-            for label, device in one.devices.items()
-        }
+        shares: dict[str, Number] = {}
+        for label, device in one.devices.items():
+            third = device.draws[THIRD_CYCLE]
+            drawn = drawn_together(one.result, third, THIRD_CYCLE, label, one.given.set_name, count)
+            passed = np.all(np.abs(drawn / nominal - 1.0) <= TOLERANCE, axis=0).astype(np.float64)
+            parts = passed[: passed.size // BATCHES * BATCHES].reshape(BATCHES, -1).mean(axis=1)
+            shares[label] = float(passed.mean()), float(parts.std(ddof=1) / math.sqrt(BATCHES))
         number = least_favourable(shares, LOW, own_devices(one.result, one.given.set_name, (THIRD_CYCLE,)))
         told = (
             f"share of draws with the third cycle of {who} within {100 * TOLERANCE:g} % of the nominal force",
@@ -247,13 +246,3 @@ def _accepted(one: OneSet) -> Iterator[Margin]:
             "the 15 % are given from knowledge of the codes: check them against your edition",
         )
         yield one.row(kind, LOW, "1", number, *told)
-
-
-def _within(one: OneSet, device: FloatArray, prior: str, n: int, nominal_kN: float) -> FloatArray:
-    drawn = drawn_together(one.result, device, THIRD_CYCLE, prior, one.given.set_name, n)
-    return np.asarray(np.all(np.abs(drawn / nominal_kN - 1.0) <= TOLERANCE, axis=0), dtype=np.float64)
-
-
-def _share(passed: FloatArray) -> Number:
-    parts = passed[: passed.size // BATCHES * BATCHES].reshape(BATCHES, -1).mean(axis=1)
-    return float(passed.mean()), float(parts.std(ddof=1) / math.sqrt(BATCHES))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from shj_bayes._util.arrays import BoolArray, FloatArray
+from shj_bayes._util.arrays import BoolArray, FloatArray, one_blas_thread
 from shj_bayes.errors import PopulationError
 from shj_bayes.margins.history import LoadCase, LoadingHistory, MeasuredChannel, allowed, load_cases, measured_channels
 from shj_bayes.margins.specimen import Belief, Specimen, drive
@@ -89,6 +89,7 @@ class VirtualTestResult:
         return DeviceEstimate(self.name, self.set_name, known, tags)
 
 
+@one_blas_thread
 def virtual_tests(
     specimens: Sequence[Specimen], asked: LoadingHistory | None, *, extrapolate: bool = False
 ) -> tuple[VirtualTestResult, ...]:
@@ -101,22 +102,49 @@ def virtual_tests(
         return allowed(specimens, max(map(smallest_stroke, specimens)), 1.0 if asked is None else asked.of_drift)
 
     cases = [load_cases(asked, s, extrapolate=extrapolate, limits=limits) for s in specimens]
-    driven = [_driven(s, of_one, own=asked is None) for s, of_one in zip(specimens, cases, strict=True)]
-    first = [next(iter(found.values()))[0] for found, _ in driven]
+    driven: list[dict[LoadCase, list[Runs]]] = []
+    loops: list[dict[str, tuple[Loop, ...]]] = []
+    for specimen, of_one in zip(specimens, cases, strict=True):
+        read, widest = dict[LoadCase, list[Runs]](), dict[str, tuple[Loop, ...]]()
+        for case, runs in of_one.items():
+            read[case] = []
+            for belief in specimen.beliefs:
+                forces = drive(belief.model, belief.theta, runs, specimen.start_force_kN if asked is None else ())
+                read[case].append(_read(forces, runs))
+                if case.law not in widest:
+                    widest[case.law] = tuple(map(_widest, runs, forces))
+        driven.append(read)
+        loops.append(widest)
+    first = [next(iter(read.values()))[0] for read in driven]
     common = max((a for a in map(counted_from, first) if np.isfinite(a)), default=np.inf)
-    least = [_from(readings, common) for readings in first]
+    least = [common if _widest_mm(runs) >= 0.99 * common else counted_from(runs) for runs in first]
     if asked is not None and not np.isfinite(least).all():
-        widest = max(float(r.amplitude_mm[r.complete].max(initial=0.0)) for runs in first for r in runs)
+        largest = max(map(_widest_mm, first))
         raise PopulationError(
             f"no half-cycle of {asked.words} slides fully in every device, so no sliding force can be read off it: the "
-            f"widest from reversal to reversal is {2.0 * widest:.3g} mm, an amplitude of {widest:.3g} mm; {limits()}"
+            f"widest from reversal to reversal is {2.0 * largest:.3g} mm, an amplitude of {largest:.3g} mm; {limits()}"
         )
     own, own_least = first, least
     if asked is not None:
         own = [own_readings(s) for s in specimens]
         own_least = [max(map(counted_from, own))] * len(own)
-    each = zip(specimens, driven, least, own, own_least, strict=True)
+    each = zip(specimens, driven, loops, least, own, own_least, strict=True)
     return tuple(_result(*of_one, carried=asked is not None) for of_one in each)
+
+
+def own_readings(specimen: Specimen) -> Runs:
+    """Read the force that the best model of a device gives in its own test."""
+    belief, runs = specimen.beliefs[0], specimen.histories
+    return _read(drive(belief.model, belief.theta, runs, specimen.start_force_kN), runs)
+
+
+def _read(forces: Sequence[FloatArray], runs: Sequence[History], *, measured: bool = False) -> Runs:
+    return tuple(read_off(f, h.motion, h.travel_m, measured=measured) for f, h in zip(forces, runs, strict=True))
+
+
+def _widest_mm(runs: Runs) -> float:
+    """Largest amplitude from reversal to reversal, mm."""
+    return max(float(r.amplitude_mm[r.complete].max(initial=0.0)) for r in runs)
 
 
 GROWING = np.linspace(0.02, 1.0, 50)
@@ -129,26 +157,8 @@ def smallest_stroke(specimen: Specimen) -> float:
     blocks = tuple(Block(a, ends["speed"] / (2.0 * np.pi * a), 1) for a in ends["position"] * GROWING)
     time, motion = exact_motion(blocks, 40 * max(block.frequency_Hz for block in blocks))
     runs = LoadingHistory(time, motion, "growing strokes").through(specimen)
-    found = [drive(belief.model, belief.typical, runs) for belief in specimen.beliefs]
-    read = [[read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True)] for forces in found]
-    return max(sliding_from(readings, UNEVEN) for readings in read)
-
-
-def _driven(
-    specimen: Specimen, histories: Mapping[LoadCase, tuple[History, ...]], *, own: bool
-) -> tuple[dict[LoadCase, list[Runs]], dict[str, tuple[Loop, ...]]]:
-    """Drive a device: readings by course and model, and by law the widest cycle of the best model."""
-    found: dict[LoadCase, list[Runs]] = {}
-    loops: dict[str, tuple[Loop, ...]] = {}
-    for course, runs in histories.items():
-        found[course] = []
-        starts = specimen.start_force_kN if own else ()
-        for belief in specimen.beliefs:
-            forces = drive(belief.model, belief.theta, runs, starts)
-            found[course].append(tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True)))
-            if course.law not in loops:
-                loops[course.law] = tuple(_widest(h, f) for h, f in zip(runs, forces, strict=True))
-    return found, loops
+    found = [_read(drive(belief.model, belief.typical, runs), runs) for belief in specimen.beliefs]
+    return max(sliding_from(readings, UNEVEN) for readings in found)
 
 
 def _widest(history: History, force: FloatArray) -> Loop:
@@ -167,22 +177,10 @@ def _widest(history: History, force: FloatArray) -> Loop:
     return branches[up], branches[1 - up]
 
 
-def own_readings(specimen: Specimen) -> Runs:
-    """Read the force that the best model of a device gives in its own test."""
-    belief, runs = specimen.beliefs[0], specimen.histories
-    forces = drive(belief.model, belief.theta, runs, specimen.start_force_kN)
-    return tuple(read_off(f, h.motion, h.travel_m) for f, h in zip(forces, runs, strict=True))
-
-
-def _from(first: Runs, common: float) -> float:
-    """Amplitude from which half-cycles count: common to all devices, unless this one has none as wide."""
-    widest = max(float(r.amplitude_mm[r.complete].max(initial=0.0)) for r in first)
-    return common if widest >= 0.99 * common else counted_from(first)
-
-
 def _result(
     specimen: Specimen,
-    driven: tuple[Mapping[LoadCase, list[Runs]], Mapping[str, tuple[Loop, ...]]],
+    found: Mapping[LoadCase, list[Runs]],
+    loops: Mapping[str, tuple[Loop, ...]],
     least: float,
     own: Runs,
     own_least: float,
@@ -190,17 +188,13 @@ def _result(
     carried: bool,
 ) -> VirtualTestResult:
     """Hold a driven device against what was measured in its own test, of which its best model gives `own`."""
-    found, loops = driven
     by_course = {one: [dict(pooled(_quantities(runs, least))) for runs in models] for one, models in found.items()}
     tables = _quantities(next(iter(found.values()))[0], least)
     seen: list[Values] = [{}] * len(tables)
     gap: dict[str, float] = {}
     cycles, noise = np.empty(0), 0.0
     if specimen.measured_kN:
-        measured = tuple(
-            read_off(force[None], h.motion, h.travel_m, measured=True)
-            for force, h in zip(specimen.measured_kN, specimen.histories, strict=True)
-        )
+        measured = _read([force[None] for force in specimen.measured_kN], specimen.histories, measured=True)
         of_test = _quantities(measured, own_least)
         seen = seen if carried else of_test
         predicted = {q: float(np.median(v)) for q, v in pooled(_quantities(own, own_least))}
@@ -233,7 +227,10 @@ def _result(
         errors[q] = max(float(np.hypot(sd, reading)), LEAST_ERROR)
     stiffness = np.log(belief.theta[:, belief.model.names.index("K")])
     values["K"], errors["K"] = float(np.exp(np.mean(stiffness))), max(float(np.std(stiffness)), LEAST_ERROR)
-    table = tuple(map(_summary, tables, seen))
+    table = tuple(
+        {q: (*band_of(run[q]), float(shown[q][0]) if q in shown else np.nan) for q in TABLE}
+        for run, shown in zip(tables, seen, strict=True)
+    )
     told = (specimen.name, specimen.set_name, table, values, errors, gap, cycles, loops, laws, carried)
     (first, *_) = next(iter(found.values()))[0]
     slides = half_cycles_from(first, least)
@@ -274,31 +271,24 @@ def over_amplitude(tests: Sequence[VirtualTestResult]) -> tuple[CyclePoint, ...]
                 every = every[every > high]
                 if all(part.sum() > 1 for part in chosen):  # a push and a pull: strokes from block to block are none
                     found = [_cycle(one, part) for one, part in zip(readings, chosen, strict=True)]
-                    amplitude = float(
-                        np.mean([one.amplitude_mm[p].mean() for one, p in zip(readings, chosen, strict=True)])
-                    )
-                    bands = (band_of(np.concatenate(values)) for values in zip(*found, strict=True))
-                    out.append(CyclePoint(name, len(own), run, amplitude, *bands))
+                    amplitudes, *of_draws = zip(*found, strict=True)
+                    bands = (band_of(np.concatenate(values)) for values in of_draws)
+                    out.append(CyclePoint(name, len(own), run, float(np.mean(amplitudes)), *bands))
     return tuple(out)
 
 
-def _cycle(readings: Readings, chosen: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Effective stiffness and damping of some half-cycles, each of shape (m,)."""
+def _cycle(readings: Readings, chosen: BoolArray) -> tuple[float, FloatArray, FloatArray]:
+    """Amplitude, and effective stiffness and damping, each of shape (m,), of some half-cycles."""
     amplitude = float(readings.amplitude_mm[chosen].mean())
     stiffness = np.maximum(readings.end_kN[:, chosen].mean(axis=1), 1e-9) / amplitude
     energy = 2000.0 * readings.work_kJ[:, chosen].mean(axis=1)
-    return stiffness, energy / (2.0 * np.pi * stiffness * amplitude**2)
+    return amplitude, stiffness, energy / (2.0 * np.pi * stiffness * amplitude**2)
 
 
 def _middle_and_sd(draws: FloatArray) -> tuple[float, float]:
     """Median, and half the width of the middle 68 % of the logarithm: one wild draw of 64 is no error of the others."""
     low, middle, high = map(Ordered(np.maximum(draws, 1e-9)).quantile, (0.1587, 0.5, 0.8413))
     return middle, 0.5 * float(np.log(high / low))
-
-
-def _summary(run: Values, seen: Values) -> dict[str, tuple[float, float, float, float]]:
-    """5, 50 and 95 % of every quantity of a run, and its measured value."""
-    return {name: (*band_of(run[name]), float(seen[name][0]) if name in seen else np.nan) for name in TABLE}
 
 
 def _quantities(runs: Runs, least: float) -> list[Values]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -45,6 +45,8 @@ class BinnedData:
     z: FloatArray  # shape (n_law,): least squares of the base model, where the search begins
     peak_mm_s: float | None = None  # peak speed that low speeds are a share of; that of the first run unless given
     longest_s: float | None = None  # longest block, s, where something comes again soon; as in a fit unless given
+    # columns of `periodic.waves` by action and coordinate: they are looked at beside many models
+    waves: dict[tuple[str, str], FloatArray] = field(init=False, default_factory=dict)
 
     @property
     def device(self) -> DeviceModel:
@@ -72,11 +74,6 @@ class BinnedData:
         """Largest standard deviation that the noise of a load cell may have, kN: of the largest force measured."""
         return NOISE_MOST * float(np.percentile(np.abs(self.blocks.force_kN[self.blocks.used > 0]), 99))
 
-    @cached_property
-    def finer(self) -> BinnedData:
-        """Give the same recordings in blocks as fine as those of a fit of the base model."""
-        return self.finer_at(self.device, self.z)
-
     def finer_at(self, model: DeviceModel, z: FloatArray, longest_s: float | None = None) -> BinnedData:
         """Give the same recordings in blocks as fine as those of a fit of a model, which has bends of its own.
 
@@ -84,11 +81,6 @@ class BinnedData:
         """
         longest_s = self.longest_s if longest_s is None else longest_s
         return replace(self, likelihood=self.likelihood.at(model).refined(z, longest_s=longest_s).at(self.device))
-
-    @cached_property
-    def waves(self) -> dict[tuple[str, str], FloatArray]:
-        """Columns of `periodic.waves` by action and coordinate: they are looked at beside many models."""
-        return {}
 
     @cached_property
     def slow(self) -> FloatArray:
@@ -103,45 +95,36 @@ class BinnedData:
         return tuple(replace(t, turning_noise_mm=np.append(0.0, t.turning_noise_mm[1:])) for t in whole)
 
     @cached_property
-    def missed(self) -> Missed:
-        """What any model may miss beside noise."""
-        first = np.concatenate([np.arange(part.n) < part.timing.half[1] for part in self.blocks])
-        of_run = np.repeat(np.eye(len(self.blocks)), [part.n for part in self.blocks], axis=0)
-        return Missed(
-            _discrepancy(self),
-            _memory(self),
-            of_run * self.blocks.used[:, None],
-            first,
-            np.array([part.timing.turning_noise_mm[0] for part in self.blocks]),
-            np.array([part.timing.zero_noise_kN for part in self.blocks]),
-        )
+    def missed(self) -> FloatArray:
+        """What any model may miss beside noise, kN, shape (n, p + 1 + 2 n_runs).
 
-
-@dataclass(frozen=True, eq=False)
-class Missed:
-    """What any model of a device may miss beside noise: columns whose coefficients are integrated out."""
-
-    discrepancy: FloatArray  # shape (n, p): functions of the generic discrepancy, kN for a size of 1 kN
-    memory: FloatArray  # shape (n, 1): force under Masing's rule less that of the base law, kN
-    zeros: FloatArray  # shape (n, n_runs): error of the load cell's zero in each run, kN for a size of 1 kN
-    first: BoolArray  # shape (n,): blocks of the first half-cycle of a run
-    # start_mm, zero_kN: shape (n_runs,): standard deviation of where each run starts, and of its zero, before the test
-    start_mm: FloatArray
-    zero_kN: FloatArray
-
-    def columns(self, slope: FloatArray) -> FloatArray:
-        """Give the discrepancy, Masing's rule, where each run starts and the zeros, shape (n, p + 1 + 2 n_runs), kN.
-
-        `slope`, shape (n,), is that of the modelled force in each block, kN/mm. An error of the start moves the whole
-        first half-cycle along the displacement, and stands for an error of the force there too.
+        The generic discrepancy for a size of 1 kN; the force under Masing's rule less that of the base law; what an
+        error of 1 mm of where each run starts does to the base law; and the zero of each run.
         """
-        starts = self.zeros * (slope * self.first)[:, None]
-        return np.column_stack([self.discrepancy, self.memory, starts, self.zeros])
+        return np.column_stack([_discrepancy(self), *_rules_and_starts(self), self.zeros])
 
-    def sizes(self, model_error_kN: float) -> FloatArray:
-        """Size before the test of each of the columns, shape (p + 1 + 2 n_runs,)."""
-        discrepancy = np.full(self.discrepancy.shape[1], model_error_kN)
-        return np.concatenate([discrepancy, [1.0], self.start_mm, self.zero_kN])
+    @property
+    def zeros(self) -> FloatArray:
+        """Error of the load cell's zero in each run, for a size of 1 kN, shape (n, n_runs)."""
+        sizes = [part.n for part in self.blocks]
+        return np.repeat(np.eye(len(sizes)), sizes, axis=0) * self.blocks.used[:, None]
+
+    def missed_at(self, slope: FloatArray) -> FloatArray:
+        """Give the columns of `missed` beside a model with such slopes of the force, kN/mm, shape (n,).
+
+        An error of the start moves the whole first half-cycle along the displacement, and stands for an error of the
+        force there too; where the device does not slide before it turns, what follows begins with another force.
+        """
+        first = np.concatenate([np.arange(part.n) < part.timing.half[1] for part in self.blocks])
+        out, n = self.missed.copy(), len(self.blocks)
+        out[first, -2 * n : -n] = (self.zeros * slope[:, None])[first]
+        return out
+
+    def missed_sizes(self, model_error_kN: float) -> FloatArray:
+        """Size of each column of `missed` before the test, shape (p + 1 + 2 n_runs,)."""
+        starts_mm = [part.timing.turning_noise_mm[0] for part in self.blocks]
+        zeros_kN = [part.timing.zero_noise_kN for part in self.blocks]
+        return np.array([*[model_error_kN] * (N_OF_DEVICE - 1), 1.0, *starts_mm, *zeros_kN])
 
 
 def _discrepancy(data: BinnedData) -> FloatArray:
@@ -160,19 +143,29 @@ def _discrepancy(data: BinnedData) -> FloatArray:
     return means
 
 
-def _memory(data: BinnedData) -> FloatArray:
-    """Force under Masing's rule less that of the base law, kN, shape (n, 1).
+def _rules_and_starts(data: BinnedData) -> tuple[FloatArray, FloatArray]:
+    """Force under Masing's rule less that of the base law, kN, and what an error of each start does to it, kN/mm.
 
     Both rules are in use for cycles that turn before the device slides; a device may follow either, or lie between.
     Under the published rule it also holds the jump of Eq. (1) behind each reversal, which Masing's rule has not.
+    Shapes (n, 1) and (n, n_runs).
     """
-    theta, columns = data.device.laws.natural(data.z[None]), []
-    for part in data.blocks:
-        motion, start = part.history.motion, part.run.start_force_kN
-        laws = data.device.run_laws(theta, part.history.run)
-        own = force_of_laws(motion, laws, variant=data.device.variant, start_force_kN=start)[0]
-        columns.append((masing_force(motion, laws[0], start) - own)[:, None])
-    return data.blocks.mean(columns)
+    theta, step_kN = data.device.laws.natural(data.z[None]), 1e-3 * data.scale_kN
+    rules, starts = [], []
+    for i, part in enumerate(data.blocks):
+        motion, start, laws = (
+            part.history.motion,
+            part.run.start_force_kN,
+            data.device.run_laws(theta, part.history.run),
+        )
+        less, own, more = (
+            force_of_laws(motion, laws, variant=data.device.variant, start_force_kN=start + by)[0]
+            for by in (-step_kN, 0.0, step_kN)
+        )
+        rules.append((masing_force(motion, laws[0], start) - own)[:, None])
+        of_run = np.arange(len(data.blocks)) == i
+        starts.append(of_run * (data.base.K * (more - less) / (2.0 * step_kN))[:, None])
+    return data.blocks.mean(rules), data.blocks.mean(starts)
 
 
 @dataclass(frozen=True)
@@ -246,30 +239,16 @@ class ErrorParameters:
 class ErrorModel:
     """Scalar product in which noise and discrepancy count as they should; see the module.
 
-    Parameters
-    ----------
-    data : BinnedData
-        The recordings.
-    setting : ErrorParameters
-        Noise and discrepancy.
-    slope : array, shape (n,)
-        Slope of the modelled force in each block, through which the error of the displacement acts, kN/mm.
-    counts : array, shape (n_evidence,), optional
-        Which of the evidence a fit sees; all by default.
-
-    Attributes
-    ----------
-    missed : array, shape (n, p + 1 + 2 n_runs)
-        What any model may miss, each at its size before the test; columns as of `Missed.columns`.
-    other : array, shape (n_evidence, p + 1 + 2 n_runs)
-        The same whitened.
+    `slope`, shape (n,), is that of the modelled force in each block, kN/mm; `counts`, shape (n_evidence,), says which
+    of the evidence a fit sees. `missed` holds the columns of `BinnedData.missed`, each at its size before the test, and
+    `other`, of shape (n_evidence, p + 1 + 2 n_runs), the same whitened.
     """
 
     def __init__(
         self, data: BinnedData, setting: ErrorParameters, slope: FloatArray, counts: BoolArray | None = None
     ) -> None:
         self.data, self.setting, self.slope, self.counts = data, setting, slope, counts
-        missed, sizes = data.missed.columns(slope), data.missed.sizes(setting.model_error_kN)
+        missed, sizes = data.missed_at(slope), data.missed_sizes(setting.model_error_kN)
         white, constant = setting.whitened(data, missed, slope)
         self.missed, self.other = missed * sizes, self._counted(white) * sizes
         constant += setting.log_prior(data)
@@ -334,7 +313,7 @@ class ErrorModel:
     def integrated_out(self, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Give what the discrepancy takes up of a residual, and what all else does that is integrated out, (n,), kN."""
         mean = self._missed.solve(self.other.T @ self.whitened(residual[:, None])[:, 0])
-        n = self.data.missed.discrepancy.shape[1]
+        n = N_OF_DEVICE - 1
         return self.missed[:, :n] @ mean[:n], self.missed[:, n:] @ mean[n:]
 
 

@@ -24,11 +24,10 @@ from shj_bayes.mismatch import content
 from shj_bayes.mismatch.data import ErrorModel, data_of
 from shj_bayes.mismatch.findings import Answer, curve_band
 from shj_bayes.mismatch.heldout import Proven, proven
-from shj_bayes.mismatch.hypothesis import LOG_PRIOR_ODDS, Candidate, Hypothesis, classes, unit_columns
+from shj_bayes.mismatch.hypothesis import LOG_PRIOR_ODDS, Candidate, Hypothesis, beside_missed, classes, unit_columns
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace, laplace_under, visible
 from shj_bayes.mismatch.moves import RIVAL, Search
 from shj_bayes.mismatch.regions import aliases_of, regions_of
-from shj_bayes.mismatch.screen import beside_missed
 from shj_bayes.mismatch.search import search
 from shj_bayes.model.device import DeviceModel, effects_named
 from shj_bayes.options import DiagnoseOptions
@@ -64,7 +63,13 @@ def evidence_of(out: Search, answer: Answer) -> EvidenceRecord:
     changes = {name: band["mean"][1] - band["mean"][0] for name, band in bands.items() if band is not None}
     # The model that is shown may hold classes of a size that does not matter, too: here they are others.
     plain = out.found.get(frozenset(own), out.found[frozenset()])
-    others = {name: c for name, c in _best(out.fitter.screen(plain)).items() if name not in own}
+    others: dict[
+        str, Candidate
+    ] = {}  # the best one of each class; a curve where it has one, to which a name is matched
+    for c in out.fitter.screen(plain):
+        kept = others.get(c.of.id)
+        if c.of.id not in own and (kept is None or (kept.variant.curve is None and c.variant.curve is not None)):
+            others[c.of.id] = c
     first = _FirstOrder(out, plain, list(others.values()))
     for i, (name, c) in enumerate(others.items()):
         mean, change = first.means[i]
@@ -95,7 +100,15 @@ def _gains_beside(out: Search, h: Hypothesis) -> dict[frozenset[str], float]:
     by_class: dict[str, list[Candidate]] = {}
     for c in out.fitter.screen(h):
         by_class.setdefault(c.of.id, []).append(c)
-    alone = {name: _averaged(own) for name, own in by_class.items()}
+    alone: dict[str, float] = {}
+    for name, own in by_class.items():
+        starts: dict[str, list[float]] = {}
+        for c in own:
+            curve = c.variant.curve
+            word = c.variant.effect.id if curve is None else f"{curve.coordinate} {curve.length} {curve.sides}"
+            starts.setdefault(word, []).append(c.gain)
+        means = [np.logaddexp.reduce(gains) - np.log(len(gains)) for gains in starts.values()]
+        alone[name] = float(np.logaddexp.reduce(means))
     gains = {frozenset((name,)): gain for name, gain in alone.items()}
     first = _FirstOrder(out, h, [own[0] for own in by_class.values()])
     for (i, a), (j, b) in combinations(enumerate(by_class), 2):
@@ -150,27 +163,6 @@ class _FirstOrder:
         root = sizes[:, None] / np.sqrt(precision)
         fits = root * self._along[own]
         return root, fits, 0.5 * (fits**2 - np.log(precision)).sum(axis=1)
-
-
-def _best(listed: Sequence[Candidate]) -> dict[str, Candidate]:
-    """Best candidate of each class; its best curve where it has one: a name is matched to a curve, not the reverse."""
-    out: dict[str, Candidate] = {}
-    for c in listed:
-        kept = out.setdefault(c.of.id, c)
-        if kept.variant.curve is None and c.variant.curve is not None:
-            out[c.of.id] = c
-    return out
-
-
-def _averaged(own: list[Candidate]) -> float:
-    """Log Bayes factor of a class: a mean over its variants, with their weights, and over their starts."""
-    starts: dict[str, list[float]] = {}
-    for c in own:
-        curve = c.variant.curve
-        word = c.variant.effect.id if curve is None else f"{curve.coordinate} {curve.length} {curve.sides}"
-        starts.setdefault(word, []).append(c.gain)
-    means = [np.logaddexp.reduce(gains) - np.log(len(gains)) for gains in starts.values()]
-    return float(np.logaddexp.reduce(means))
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,14 +21,15 @@ from shj_bayes.mismatch.hypothesis import (
     PRIOR_INCLUSION,
     SLIP,
     Candidate,
-    Dependence,
     Hypothesis,
     columns_of,
     force_distance,
     force_of,
     largest_size_of,
+    missed_by,
     replaced,
     same_twice,
+    screen,
     second_of,
     size_of,
     tolerance,
@@ -36,7 +37,6 @@ from shj_bayes.mismatch.hypothesis import (
 )
 from shj_bayes.mismatch.laplace import Laplace, visible, zero_of
 from shj_bayes.mismatch.moves import Search, beside_direction, following
-from shj_bayes.mismatch.screen import missed_by, screen
 from shj_bayes.model.curve import Curve
 from shj_bayes.model.effects.effect import catalogue
 from shj_bayes.results.diagnosis import NOTHING_MISSING, SIGMA_90, DiagnosisVerdict
@@ -94,13 +94,11 @@ class FoundEffect:
 class Answer:
     """What a search says."""
 
-    # verdict, reason: the verdict
     verdict: DiagnosisVerdict
     reason: Reason
     shown: Hypothesis  # the model that is shown: the most probable one, with formulas where they follow the curves
     findings: tuple[FoundEffect, ...]  # its classes
-    # sets of classes of a size that matters, with their probabilities, most probable first
-    sets: tuple[tuple[frozenset[str], float], ...]
+    sets: tuple[tuple[frozenset[str], float], ...]  # of classes of a size that matters, most probable first
     alternatives: dict[frozenset[str], Hypothesis]  # the best hypothesis of each of these sets
     p_value: float  # upper limit of the chance of such evidence if nothing were missing
     left_over: float  # size of the generic discrepancy, as a share of Fy
@@ -115,11 +113,13 @@ def answer_of(out: Search, dropped: Collection[str] = ()) -> Answer:
     reduced: dict[frozenset[str], float] = {}
     best: dict[frozenset[str], Hypothesis] = {}
     for h, p in zip(ranked, probability, strict=True):
-        shown = _split(out, h, dropped) if p >= 1e-6 else h
-        shares = truly_there(out, shown, that_matter(out, shown)) if p >= 1e-6 else {h.key: 1.0}
-        for name in (CONSTANT, DIRECTION) if p >= 1e-6 else ():
-            if is_zero_elsewhere(out.data, shown, name):
-                shares = _doubted(shares, name)
+        shown, shares = h, {h.key: 1.0}
+        if p >= 1e-6:
+            shown = _split(out, h, dropped)
+            shares = truly_there(out, shown, that_matter(out, shown))
+            for name in (CONSTANT, DIRECTION):
+                if is_zero_elsewhere(out.data, shown, name):  # the test says nothing of it: as probable as before
+                    shares = _shared(shares, name, PRIOR_INCLUSION)
         for key, share in shares.items():
             reduced[key] = reduced.get(key, 0.0) + float(p) * share
             best.setdefault(key, shown)
@@ -131,11 +131,20 @@ def answer_of(out: Search, dropped: Collection[str] = ()) -> Answer:
             inclusion[name] = min(inclusion.get(name, 0.0) + p, 1.0)  # or more than 1 by rounding
     sure = nothing >= 1.0 - ALPHA
     top = next((key for key, _ in sets if key and not sure), frozenset[str]())
-    shown = best[top]
-    findings, shown = _findings(out, shown, top, inclusion)
+    findings, shown = _findings(out, best[top], top, inclusion)
     left = discrepancy_size(out, shown.state)
     verdict, reason = _verdict(out, findings, dict(sets).get(top, 0.0), nothing, left)
     return Answer(verdict, reason, shown, findings, sets, best, _p_value(out), left, inclusion)
+
+
+def _shared(shares: Mapping[frozenset[str], float], name: str, there: float) -> dict[frozenset[str], float]:
+    """Give the shares of sets of classes with a class in those that hold it with a probability."""
+    out: dict[frozenset[str], float] = {}
+    for key, p in shares.items():
+        held = there if name in key else 0.0
+        for own, part in ((key - {name}, 1.0 - held), (key, held)):
+            out[own] = out.get(own, 0.0) + p * part
+    return {key: p for key, p in out.items() if p}
 
 
 def _verdict(
@@ -172,22 +181,18 @@ def that_matter(out: Search, h: Hypothesis) -> frozenset[str]:
     left is taken at its size in a fit without them: two classes that stand in for each other are both small.
     """
     sizes = [largest_size_of(out.data, h, i) / out.matters_of(h, i) for i in range(len(h.members))]
-    if CONSTANT in h.key:
+    if CONSTANT in h.key:  # less what the zero of the load cell takes off it: seen is the sum of both
         i = [m.of.id for m in h.members].index(CONSTANT)
-        sizes[i] -= _made_up(out, h, i) / out.matters_of(h, i)
+        zero = zero_of(h.metric or out.metric, h.state)[0] / out.data.scale_kN
+        size = h.state.values_of(h.members[i].variant.effect)["size"]
+        if zero * size < 0.0:
+            sizes[i] -= min(abs(zero), abs(size)) / out.matters_of(h, i)
     if min(sizes, default=math.inf) >= 1.0:
         return h.key
     rest = h.key - {h.members[int(np.argmin(sizes))].of.id}
     if rest in out.found:
         return that_matter(out, out.found[rest])
     return frozenset(m.of.id for m, size in zip(h.members, sizes, strict=True) if size >= 1.0)
-
-
-def _made_up(out: Search, h: Hypothesis, place: int) -> float:
-    """Size of what a zero of the load cell that matters takes off a constant force, a share of Fy."""
-    zero = zero_of(h.metric or out.metric, h.state)[0] / out.data.scale_kN
-    size = h.state.values_of(h.members[place].variant.effect)["size"]
-    return min(abs(zero), abs(size)) if zero * size < 0.0 and abs(zero) >= MIN_EFFECT else 0.0
 
 
 def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozenset[str], float]:
@@ -201,23 +206,19 @@ def truly_there(out: Search, h: Hypothesis, key: frozenset[str]) -> dict[frozens
     gains = {name: h.log_weight - out.best_within(rest.key) for name, rest in known.items()}
     order = gains if len(gains) == len(sizes) else sizes
     ranked = sorted(sizes, key=lambda name: (-order[name], name))
-    shares = {frozenset[str](): 1.0}
+    shares = {frozenset(ranked): 1.0}
     for place, name in enumerate(ranked):
-        there = 1.0
         if place and name in known:
             larger = {other: sizes[other] for other in ranked[:place]}
-            there = float(expit(-_missed_instead(out, h, known[name], larger)))
-        split = {own | {name}: p * there for own, p in shares.items()}
-        shares = split if there == 1.0 else split | {own: p * (1.0 - there) for own, p in shares.items()}
+            shares = _shared(shares, name, float(expit(-_missed_instead(out, h, known[name], larger))))
     return shares
 
 
 def is_zero_elsewhere(data: BinnedData, h: Hypothesis, name: str) -> bool:
     """Whether a class that shifts the loops may be a force that a hypothesis adds over position or time, 0 elsewhere.
 
-    Where such a force is 0 is a convention: a curve is 0 at mid-stroke, or at the start, and may be 0 wherever the
-    constant makes up for it. A spring works about mid-stroke, or about the zero of the displacement, as it stood when
-    it was built in: in a test to one side the two differ by a constant.
+    Where that is is a convention: a curve may be 0 wherever the constant makes up for it. A spring works about
+    mid-stroke, or about the zero of the displacement: in a test to one side the two differ by a constant.
     """
     shift = next((m.variant.effect for m in h.members if m.of.id == name), None)
     if shift is None:
@@ -238,16 +239,6 @@ def is_zero_elsewhere(data: BinnedData, h: Hypothesis, name: str) -> bool:
             if abs(size_kN + added_kN[there]) <= tolerance(data, h, place) * data.scale_kN:
                 return True
     return False
-
-
-def _doubted(shares: Mapping[frozenset[str], float], name: str) -> dict[frozenset[str], float]:
-    """Give the shares with a class as probable as before the test, of which the test says nothing."""
-    out: dict[frozenset[str], float] = {}
-    for key, p in shares.items():
-        there = PRIOR_INCLUSION if name in key else 0.0
-        for own, part in ((key - {name}, 1.0 - there), (key, there)):
-            out[own] = out.get(own, 0.0) + p * part
-    return {key: p for key, p in out.items() if p}
 
 
 def _missed_instead(out: Search, h: Hypothesis, rest: Hypothesis, larger: Mapping[str, float]) -> float:
@@ -281,28 +272,21 @@ def _findings(
     out: Search, h: Hypothesis, top: frozenset[str], inclusion: dict[str, float]
 ) -> tuple[tuple[FoundEffect, ...], Hypothesis]:
     """Put formulas in the place of curves that they follow; give the findings, and the hypothesis with them."""
-    for place, member in enumerate(h.members):
-        if member.variant.curve is not None and member.of.id in top:
+    places = [place for place, member in enumerate(h.members) if member.of.id in top]
+    for place in places:
+        if h.members[place].variant.curve is not None:
             h = _followed(out, h, place)
     names: dict[int, tuple[tuple[str, float], ...]] = {}
-    for place, member in enumerate(h.members):
-        written = member.variant.curve
-        if member.of.id in top and (written is None or written.over.measured):
+    for place in places:
+        written = h.members[place].variant.curve
+        if written is None or written.over.measured:
             h, names[place] = _named(out, h, place)
     found = []
-    for place, member in enumerate(h.members):
-        if member.of.id not in top:
-            continue
+    for place in places:
+        of, size, drawn = h.members[place].of, size_of(out.data, h, place), _as_curve(out.fitter, h, place)
+        evidence = h.log_weight - out.best_within(h.key - {of.id})
         found.append(
-            FoundEffect(
-                member,
-                inclusion[member.of.id],
-                h.log_weight - out.best_within(h.key - {member.of.id}),
-                size_of(out.data, h, place),
-                _as_curve(out.fitter, h, place),
-                place,
-                names.get(place, ()),
-            )
+            FoundEffect(h.members[place], inclusion[of.id], evidence, size, drawn, place, names.get(place, ()))
         )
     return tuple(sorted(found, key=lambda f: -f.size)), h
 
@@ -317,14 +301,6 @@ def _followed(out: Search, h: Hypothesis, place: int) -> Hypothesis:
         if new.log_weight > score and largest_size_of(out.data, new, place) >= MIN_EFFECT:
             best, score = new, new.log_weight
     return best
-
-
-def _in_place_of(fitter: Fitter, h: Hypothesis, place: int, of: Dependence) -> list[Hypothesis]:
-    """Give the hypotheses with a formula of another class in the place of a curve, most probable first."""
-    rest = fitter.fitted(*without(fitter.metric.data, h, place))
-    if rest is None:
-        return []
-    return fitter.all_fitted(((*rest.members, f), f) for f in fitter.forms_of(of, rest.members, rest.state.z))
 
 
 def _as_curve(fitter: Fitter, h: Hypothesis, place: int) -> Hypothesis | None:
@@ -351,15 +327,18 @@ def _as_curve(fitter: Fitter, h: Hypothesis, place: int) -> Hypothesis | None:
 def _split(out: Search, h: Hypothesis, dropped: Collection[str] = ()) -> Hypothesis:
     """Give the hypothesis with formulas for a curve that holds their class beside its own, where they follow it.
 
-    Of the other class alone, or of both. No test can tell the curve from them, and they say what it is; see
-    `hypothesis.second_of`.
+    Of the other class alone, or of both: they say what it is; see `hypothesis.second_of`.
     """
     for place, member in enumerate(h.members):
-        second = second_of(member)
-        if second is None or second in (*h.key, *dropped) or second not in out.fitter.classes:
+        second, fitter = second_of(member), out.fitter
+        if second is None or second in (*h.key, *dropped) or second not in fitter.classes:
             continue
         allowed = tolerance(out.data, h, place)
-        for one in _in_place_of(out.fitter, h, place, out.fitter.classes[second]):
+        rest, ones = fitter.fitted(*without(out.data, h, place)), []
+        if rest is not None:
+            forms = fitter.forms_of(fitter.classes[second], rest.members, rest.state.z)
+            ones = fitter.all_fitted(((*rest.members, f), f) for f in forms)
+        for one in ones:
             if force_distance(out.data, h, one) <= allowed:
                 return one
         both = beside_direction(out, h, place).found.get(h.key | {second})
@@ -381,19 +360,23 @@ def _named(out: Search, h: Hypothesis, place: int) -> tuple[Hypothesis, tuple[tu
     forms = {own.variant.effect.id: h}
     for form in out.fitter.forms(h, place):
         new, name = out.fitter.fitted(replaced(h, place, form), form.start), form.variant.effect.id
-        if new is None or (name in forms and new.log_weight <= forms[name].log_weight):
+        if new is None or (name in forms and _height(new, place) <= _height(forms[name], place)):
             continue
         if name in forms or largest_size_of(out.data, new, place) >= MIN_EFFECT:
             forms[name] = new
-    whole = float(logsumexp([one.log_weight for one in forms.values()]))
     by_mechanism: dict[str, list[Hypothesis]] = {}
     for one in forms.values():
         by_mechanism.setdefault(one.members[place].variant.effect.mechanism, []).append(one)
-    shares = {
-        name: min(sum(math.exp(one.log_weight - whole) for one in ones), 1.0) for name, ones in by_mechanism.items()
-    }
+    heights = {name: [_height(one, place) for one in ones] for name, ones in by_mechanism.items()}
+    whole = float(logsumexp([height for own in heights.values() for height in own]))
+    shares = {name: min(sum(math.exp(height - whole) for height in own), 1.0) for name, own in heights.items()}
     ranked = sorted(shares.items(), key=lambda item: -item[1])
-    return max(by_mechanism[ranked[0][0]], key=lambda one: one.log_weight), most_probable(ranked)
+    return max(by_mechanism[ranked[0][0]], key=lambda one: _height(one, place)), most_probable(ranked)
+
+
+def _height(h: Hypothesis, place: int) -> float:
+    """Log weight of a hypothesis but for that of the formula in a place, which may be that of all formulas there."""
+    return h.log_weight - math.log(h.members[place].variant.weight)
 
 
 def most_probable(ranked: Sequence[tuple[T, float]]) -> tuple[tuple[T, float], ...]:
@@ -403,10 +386,15 @@ def most_probable(ranked: Sequence[tuple[T, float]]) -> tuple[tuple[T, float], .
 
 
 def _p_value(out: Search) -> float:
-    """Bound on the chance of such evidence: under the null a Bayes factor of k has a chance of at most 1/k (Ville)."""
+    """Bound on the chance of such evidence: under the null a Bayes factor of k has a chance of at most 1/k (Ville).
+
+    Of something over nothing: the mean over all sets of the classes that are looked for, each with its probability
+    before the test; those that were not fitted count as 0.
+    """
     base = out.found[frozenset()].log_weight
     rest = [h.log_weight for key, h in out.found.items() if key]
-    factor = logsumexp(rest) - base if rest else -math.inf
+    something = math.expm1(-len(out.fitter.classes) * math.log1p(-PRIOR_INCLUSION))  # odds before the test
+    factor = logsumexp(rest) - base - math.log(something) if rest else -math.inf
     return float(min(1.0, math.exp(-factor))) if factor > 0 else 1.0
 
 

@@ -12,50 +12,38 @@ from shj_bayes._util.arrays import FloatArray
 from shj_bayes.inference.start import start_values
 from shj_bayes.mismatch.data import BinnedData, ErrorModel, ErrorParameters
 from shj_bayes.mismatch.hypothesis import (
-    FORMS,
     LOG_PRIOR_ODDS,
     Candidate,
     Dependence,
     Hypothesis,
-    Parametrisation,
     cancel,
     columns_of,
+    formulas,
     same_twice,
+    screen,
     size_weights,
     without,
 )
 from shj_bayes.mismatch.laplace import Laplace, find_noise, laplace
 from shj_bayes.mismatch.periodic import follows_cycles, is_over_a_clock, waves
-from shj_bayes.mismatch.screen import screen
 from shj_bayes.model.curve import SIZES
 from shj_bayes.model.device import DeviceModel
-from shj_bayes.model.effects.effect import catalogue
 
 WIDE = 2.0  # times the size of a curve, or of an effect where its search begins: what noise is found beside
+NEARLY = 2.0  # nats; formulas that are worse than the best by more add little to the weight of their class
 FLAT = 1e3  # of Fy: a constant force as large as any
 
 
 @dataclass(frozen=True, eq=False)
 class Fitter:
-    """Fits hypotheses to the recordings of a device under one noise.
+    """Fits hypotheses to the recordings of a device under one noise."""
 
-    Attributes
-    ----------
-    looked : sequence of Candidate
-        What is looked for, with columns at the base law: they change little from model to model, and only choose what
-        is fitted.
-    metric : ErrorModel
-        Noise and discrepancy in the recordings, found beside everything that is looked for.
-    hidden : frozenset of str
-        Mechanisms whose formulas are not tried.
-    floor : float
-        Log weight, nats, below which a fit is given up on its way.
-    """
-
+    # what is looked for, with columns at the base law: they change little from model to model, and only choose what is
+    # fitted
     looked: Sequence[Candidate]
-    metric: ErrorModel
-    hidden: frozenset[str] = frozenset()
-    floor: float = -math.inf
+    metric: ErrorModel  # noise and discrepancy in the recordings, found beside everything that is looked for
+    hidden: frozenset[str] = frozenset()  # mechanisms whose formulas are not tried
+    floor: float = -math.inf  # log weight, nats, below which a fit is given up on its way
     _screened: dict[Hypothesis, list[Candidate]] = field(init=False, default_factory=dict)
 
     @cached_property
@@ -74,10 +62,8 @@ class Fitter:
         return device.with_effects((*device.effects, *added))
 
     def fitted(self, members: tuple[Candidate, ...], start: FloatArray, floor: float = -math.inf) -> Hypothesis | None:
-        """Fit a hypothesis from a start; None where there is no fit.
-
-        The fit is given up on its way where the log weight will not reach `floor`.
-        """
+        """Fit a hypothesis from a start; None where there is no fit, or one whose log weight will not reach `floor`."""
+        data = self.metric.data
         try:
             state = laplace(self.metric, self.model_of(members), start, max(self.floor, floor))
             # Or nothing can be weighed beside it. By half of the prior, as rounding differs when it is worked out anew.
@@ -86,44 +72,48 @@ class Fitter:
             weight += sum(self._about_size(state, i, m) for i, m in enumerate(members))
         except np.linalg.LinAlgError:
             return None
-        if cancel(state, members) or any(self._follows_cycles(state, member) for member in members):
-            return None
-        return Hypothesis(members, state, weight) if math.isfinite(weight) else None
-
-    def _follows_cycles(self, state: Laplace, member: Candidate) -> bool:
-        """Whether a formula or a wave over a clock does the same in each cycle."""
-        curve, effect = member.variant.curve, member.variant.effect
-        if not is_over_a_clock(member.of) or (curve is not None and curve.period is None):
-            return False
-        return follows_cycles(self.metric.data, effect, state.values_of(effect))
+        for variant in (m.variant for m in members if is_over_a_clock(m.of)):
+            values = state.values_of(variant.effect)  # of a formula or a wave over a clock: not what the cycles do
+            if (variant.curve is None or variant.curve.period) and follows_cycles(data, variant.effect, values):
+                return None
+        return Hypothesis(members, state, weight) if math.isfinite(weight) and not cancel(state, members) else None
 
     def _about_size(self, state: Laplace, place: int, member: Candidate) -> float:
-        """Log evidence that a class gains when its size and its smoothness are averaged over."""
-        extra = math.log(member.variant.weight)
-        curve = member.variant.curve
+        """Log weight of a parametrisation, of a curve with its size averaged over."""
+        extra, curve = math.log(member.variant.weight), member.variant.curve
         if curve is None:
             return extra
-        own = columns_of(self.metric.data, state, place)
-        given = state.gaussian
+        given, own = state.gaussian, columns_of(self.metric.data, state, place)
         its_own = np.isin(np.arange(state.z.size), own)
         gains = [given.sized(np.where(its_own, size / curve.size, 1.0)).gain for size in SIZES]
         return extra + float(np.logaddexp.reduce(np.array(gains) - given.gain + np.log(size_weights())))
 
     def all_fitted(self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]]) -> list[Hypothesis]:
         """Fit hypotheses, each from the start of a form; those with a fit, most probable first."""
-        ones = [self.fitted(members, form.start) for members, form in tried]
-        return sorted((one for one in ones if one is not None), key=lambda one: -one.log_weight)
+        ones = [one for members, form in tried if (one := self.fitted(members, form.start)) is not None]
+        return sorted(ones, key=lambda one: -one.log_weight)
 
     def best_fitted(
         self, tried: Iterable[tuple[tuple[Candidate, ...], Candidate]], floor: float = -math.inf
     ) -> Hypothesis | None:
-        """Fit hypotheses, each from the start of a form, from the best start on; the most probable one, if any."""
-        best = None
+        """Fit hypotheses that differ in the formula of one class, each from the start of a form; the most probable one.
+
+        The formula of the best one stands for all that do nearly as well, and has the weight of them all: it is the
+        class that is weighed. None where there is no fit.
+        """
+        ones: dict[str, tuple[Hypothesis, Candidate]] = {}
+        floor -= NEARLY
         for members, form in sorted(tried, key=lambda one: -one[1].gain):
-            one = self.fitted(members, form.start, floor)
-            if one is not None and (best is None or one.log_weight > best.log_weight):
-                best, floor = one, max(floor, one.log_weight)
-        return best
+            one, name = self.fitted(members, form.start, floor), form.variant.effect.id
+            if one is not None and (name not in ones or one.log_weight > ones[name][0].log_weight):
+                ones[name], floor = (one, form), max(floor, one.log_weight - NEARLY)
+        if not ones:
+            return None
+        best, own = max(ones.values(), key=lambda pair: pair[0].log_weight)
+        more = float(np.logaddexp.reduce([one.log_weight for one, _ in ones.values()])) - best.log_weight
+        all_of_them = replace(own, variant=replace(own.variant, weight=own.variant.weight * math.exp(more)))
+        members = tuple(all_of_them if m is own else m for m in best.members)
+        return replace(best, members=members, log_weight=best.log_weight + more)
 
     def with_own_noise(self, h: Hypothesis, start: ErrorParameters) -> Hypothesis | None:
         """Fit a hypothesis under the noise that is most probable beside it, searched for from a start."""
@@ -157,14 +147,12 @@ class Fitter:
         `at` is the place of the class among the members, and of its parameters among theirs; the last by default.
         """
         (place, first), data = at or (len(members), z.size), self.metric.data
-        acts, nothing, out = (of.action, of.coordinate), np.zeros((data.blocks.used.size, 0)), []
-        known = [e for e in catalogue().values() if acts in e.acts and e.mechanism not in self.hidden]
-        for effect in known:
-            variant = Parametrisation(None, effect, FORMS / max(len(known), 1))
+        nothing, out = np.zeros((data.blocks.used.size, 0)), []
+        for variant in formulas((of.action, of.coordinate), self.hidden):
             form = Candidate(of, variant, z, nothing, data.device)
             model = self.model_of((*members[:place], form, *members[place:]))
-            values = start_values(effect)
-            if effect.parameters[0].either_sign:  # a size of either sign
+            values = start_values(variant.effect)
+            if variant.effect.parameters[0].either_sign:  # a size of either sign
                 values[0] = sorted({*values[0], *(-value for value in values[0])})
             tails = [np.array(tail) for tail in product(*values)]
             starts = np.array([np.insert(z, first, tail) for tail in tails])
@@ -193,7 +181,7 @@ def noise_beside(
             continue
         seen.add(kind)
         columns.append(WIDE * c.columns)
-    columns.append(FLAT * data.missed.zeros * data.scale_kN)  # a constant says nothing of the noise
+    columns.append(FLAT * data.zeros * data.scale_kN)  # a constant says nothing of the noise
     wide = np.concatenate(columns, axis=1) if columns else np.zeros((state.residual.size, 0))
     return ErrorModel(data, find_noise(data, state, wide, start, data.noise_most_kN), state.slope)
 

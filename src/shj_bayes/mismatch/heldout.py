@@ -44,13 +44,11 @@ class HeldOut:
 class Gain:
     """What a model predicts better than another one: of cycles that neither saw."""
 
-    # elpd, elpd_se: log predictive density over that of the other model, and its standard error, nats
-    elpd: float
-    elpd_se: float
-    # before_kN, after_kN, rmse_se_kN: error of the other model and of this one; standard error of their difference
-    before_kN: float
-    after_kN: float
-    rmse_se_kN: float
+    elpd: float  # log predictive density over that of the other model, nats
+    elpd_se: float  # its standard error over cycles
+    before_kN: float  # error of the other model
+    after_kN: float  # and of this one
+    rmse_se_kN: float  # standard error of their difference
 
     @classmethod
     def of(cls, before: HeldOut, after: HeldOut) -> "Gain":
@@ -149,9 +147,8 @@ class Proven:
 def proven(out: Search, tell: Callable[[str], None] = lambda _: None) -> Proven:
     """Weigh what a finished search found, and drop what does not improve cycles that were left out.
 
-    The dependence that is dropped is the one without which they are predicted best; the others are weighed anew
-    without it, and it does not come back: each is dropped once at most. What is then still missing, but has no
-    dependence left that improves anything, is unknown.
+    The dependence that is dropped is the one without which they are predicted best; the others are weighed anew, and it
+    does not come back. What is then still missing, but has no dependence left that improves anything, is unknown.
     """
     dropped: tuple[Dropped, ...] = ()
     missing = False
@@ -175,10 +172,9 @@ def proven(out: Search, tell: Callable[[str], None] = lambda _: None) -> Proven:
 def _less(out: Search, shown: Hypothesis, of: str) -> Search:
     """Give a search without the hypotheses that hold a class, and with the shown one less that class."""
     found = {key: h for key, h in out.found.items() if of not in key}
-    place = next(i for i, member in enumerate(shown.members) if member.of.id == of)
     if shown.key - {of} not in found:
-        members, z = without(out.data, shown, place)
-        fitted = out.fitter.fitted(members, z)
+        place = [member.of.id for member in shown.members].index(of)
+        fitted = out.fitter.fitted(*without(out.data, shown, place))
         rest = None if fitted is None else out.fitter.with_own_noise(fitted, out.metric.setting)
         found |= {} if rest is None else {rest.key: rest}
     best = max(found.values(), key=lambda h: h.log_weight)

@@ -4,13 +4,15 @@ A hypothesis is a set with the model that holds it: its members, their sizes, an
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
+from scipy.special import expit
 
 from shj_bayes._util.arrays import FloatArray
+from shj_bayes.inference.gaussian import Gaussian, log_gains
 from shj_bayes.inference.start import extended, start_values
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
 from shj_bayes.mismatch.laplace import Laplace, drawn_from, largest, visible
@@ -27,7 +29,7 @@ EXPLAINED = 0.8  # of a curve, that a formula must follow to be its name where i
 PRIOR_INCLUSION = 0.05  # probability of each class before the test: about one in a device
 LOG_PRIOR_ODDS = math.log(PRIOR_INCLUSION / (1.0 - PRIOR_INCLUSION))
 TYPICAL, SPREAD = 0.04, 1.2  # of Fy, and of its logarithm: how large a curve is where there is one
-FORMS = 0.5  # probability that a dependence has one of the published formulas of its coordinate
+FORMS = 0.5  # probability that a dependence that may be a curve has one of the published formulas of its coordinate
 FEW_STARTS = 12  # formulas with more are tried in the place of a curve only
 CURVES = (
     *dict.fromkeys(("capacity", one.group or one.id) for one in coordinates().values() if one.times is None),
@@ -85,39 +87,43 @@ def classes(
 
     `measured` holds further channels of the recordings by coordinate: clamping may follow each.
     """
-    known = catalogue()
-    by_class: dict[tuple[str, str], list[Effect]] = {}
-    for effect in known.values():
-        for key in effect.acts:
-            by_class.setdefault(key, []).append(effect)
     out = []
-    for key, effects in by_class.items():
-        if all(effect.mechanism in hidden for effect in effects):
-            continue
+    for key in dict.fromkeys(key for effect in catalogue().values() for key in effect.acts):
         action, name = key
-        shown = [effect for effect in effects if effect.mechanism not in hidden and not effect.form]
-        if key in CURVES:
-            over = coordinates_of(name)
-            smooth = (1.0 - FORMS) * (1.0 - over[0].repeats)
-            sides = over[0].sides if action == "capacity" else 0.0
-            variants = tuple(
-                Parametrisation(
-                    curve := Curve(action, u.id, length, own), curve.effect(), smooth * weight * share / len(over)
-                )
-                for u in over
-                for length, weight in u.lengths.items()
-                for own, share in ((False, 1.0 - sides), (True, sides))
-                if share
+        written = formulas(key, hidden)
+        shown = [one for one in written if not one.effect.form]
+        if not shown:
+            continue
+        if key not in CURVES:
+            out.append(Dependence(action, name, "1", tuple(shown)))
+            continue
+        over = coordinates_of(name)
+        smooth = (1.0 - FORMS) * (1.0 - over[0].repeats)
+        sides = over[0].sides if action == "capacity" else 0.0
+        variants = [
+            Parametrisation(
+                curve := Curve(action, u.id, length, own), curve.effect(), smooth * weight * share / len(over)
             )
-            few = [effect for effect in shown if math.prod(map(len, start_values(effect))) <= FEW_STARTS]
-            variants += tuple(Parametrisation(None, effect, FORMS / len(shown)) for effect in few)
-            out.append(Dependence(action, name, over[0].unit, variants))
-        else:
-            variants = tuple(Parametrisation(None, effect, 1.0 / len(shown)) for effect in shown)
-            out.append(Dependence(action, name, "1", variants))
+            for u in over
+            for length, weight in u.lengths.items()
+            for own, share in ((False, 1.0 - sides), (True, sides))
+            if share
+        ]
+        few = [one for one in shown if math.prod(map(len, start_values(one.effect))) <= FEW_STARTS]
+        out.append(Dependence(action, name, over[0].unit, (*variants, *few)))
     both = {name: one.unit for name, one in coordinates().items() if one.times is not None}
     rest = [_without_formula(name, unit, PRIOR_INCLUSION * (1.0 - FORMS)) for name, unit in both.items()]
     return (*out, *rest, *(_without_formula(name, one.unit) for name, one in measured.items() if name not in hidden))
+
+
+def formulas(key: tuple[str, str], hidden: frozenset[str] = frozenset()) -> list[Parametrisation]:
+    """Give the formulas of a class, by action and coordinate, each as probable before the test as the others.
+
+    Together they have what a curve leaves them, or all where there is none: more of them make no class more probable.
+    """
+    known = [effect for effect in catalogue().values() if key in effect.acts and effect.mechanism not in hidden]
+    share = FORMS if key in CURVES else 1.0
+    return [Parametrisation(None, effect, share / len(known)) for effect in known]
 
 
 def _without_formula(name: str, unit: str, weight: float = 1.0) -> Dependence:
@@ -234,7 +240,7 @@ def cancel(state: Laplace, members: tuple[Candidate, ...]) -> bool:
 
 MOTION = "motion"
 N_SIZES = 60  # draws from which the upper limit of a size is taken
-NO_FORCE = 1e6  # size of a draw whose force is not finite
+STEP = 1e-3  # of a parameter in its unbounded space, for derivatives of the force of a member
 
 
 def size_of(data: BinnedData, h: Hypothesis, place: int) -> float:
@@ -242,33 +248,30 @@ def size_of(data: BinnedData, h: Hypothesis, place: int) -> float:
 
     The 99th percentile of its force that the base law could not make, by `visible`; of a constant, all of it.
     """
-    return float(_sizes_at(data, h, place, h.state.z[None])[0])
+    return float(_sizes(data, h, place, h.state.z[None])[0])
 
 
 def largest_size_of(data: BinnedData, h: Hypothesis, place: int) -> float:
     """Upper limit of the size of a member, exceeded with a probability of `ALPHA`, a share of Fy."""
-    return float(np.quantile(sizes_of(data, h, place), 1.0 - ALPHA))
+    return float(np.quantile(_sizes(data, h, place, drawn_from(h.state, N_SIZES)), 1.0 - ALPHA))
 
 
-def sizes_of(data: BinnedData, h: Hypothesis, place: int) -> FloatArray:
-    """Sizes of a member for draws of the parameters of its model, shape (N_SIZES,), as shares of Fy.
+def _sizes(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
+    """Size of a member for each of some parameter sets of its model, shape (m, n_law) to (m,), to first order.
 
-    Far from what fits a model may have no force at all; nothing says that the member is small there.
+    Farther from the most probable parameters a formula has forces that the recording refuses, but no Gaussian around
+    them does. What acts on the motion makes its force between the bends of the base law, where the blocks of a search
+    are long. A constant is as large as it is: the law makes none, also where it begins loaded by it.
     """
-    return np.nan_to_num(_sizes_at(data, h, place, drawn_from(h.state, N_SIZES)), nan=NO_FORCE, posinf=NO_FORCE)
-
-
-def _sizes_at(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
-    """Size of a member for each of some parameter sets of its model, shape (m, n_law) to (m,).
-
-    What acts on the motion makes its force between the bends of the base law, where the blocks of a search are long. A
-    constant is as large as it is: the law makes none, also where it begins loaded by it.
-    """
-    if h.members[place].of.id == CONSTANT:
-        return np.asarray(np.abs(force_of(data, h, place, z)[:, data.blocks.used > 0]).max(axis=1) / data.scale_kN)
     if h.members[place].of.action == MOTION:
         data = data.finer_at(h.state.model, h.state.z)
-    return visible(data, _law_slopes(h, data), force_of(data, h, place, z).T)
+    away = z - h.state.z
+    moves = np.flatnonzero(np.any(away != 0.0, axis=0))
+    forces = force_of(data, h, place, h.state.z + STEP * np.vstack([np.zeros(z.shape[1]), np.eye(z.shape[1])[moves]]))
+    forces = forces[0] + away[:, moves] @ ((forces[1:] - forces[0]) / STEP)
+    if h.members[place].of.id == CONSTANT:
+        return np.asarray(np.abs(forces[:, data.blocks.used > 0]).max(axis=1) / data.scale_kN)
+    return visible(data, _law_slopes(h, data), forces.T)
 
 
 def force_of(data: BinnedData, h: Hypothesis, place: int, z: FloatArray) -> FloatArray:
@@ -305,71 +308,112 @@ def force_distance(data: BinnedData, a: Hypothesis, b: Hypothesis) -> float:
     return float(largest(apart, data.blocks.n_samples[used])[0]) / data.scale_kN
 
 
-@dataclass(frozen=True)
-class Shape:
-    """A curve over a share u of a range: linear in its sizes, with one length or place that is not."""
-
-    name: str  # short word
-    # ``columns(u, length)``, shape (n, n_sizes); the last size is a constant
-    columns: Callable[[FloatArray, float], FloatArray]
-    lengths: FloatArray  # lengths or places to try, as shares of the range
-    # ``text(sizes, length, name, unit)`` writes the formula; lengths are in the unit
-    text: Callable[[FloatArray, float, str, str], str]
+SIZES_OF_STARTS = np.array([0.25, 0.5, 1.0, 2.0, 4.0])  # of an effect at the values that a search starts from
 
 
-def _with_one(*columns: FloatArray) -> FloatArray:
-    return np.stack([*columns, np.ones_like(columns[0])], axis=1)
+def screen(metric: ErrorModel, state: Laplace, candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Give candidates, as from `classes.candidates`, their gain, best first, with curves of the size that fits."""
+    if not candidates:
+        return []
+    columns, taken = metric.factors_of({c: c.columns for c in candidates})
+    along, cross, solved = beside_law(metric, state, columns, taken)
+    out, first = [], 0
+    for c in candidates:
+        own = slice(first, first + c.columns.shape[1])
+        first = own.stop
+        inner = columns[:, own].T @ columns[:, own] - taken[:, own].T @ taken[:, own] - cross[:, own].T @ solved[:, own]
+        out.append(_gained(c, Gaussian(0.0, along[own], inner)))
+    return sorted(out, key=lambda c: -c.gain)
 
 
-def _wave(sizes: FloatArray, length: float, x: str, unit: str) -> str:
-    size, phase = float(np.hypot(sizes[0], sizes[1])), float(np.arctan2(sizes[1], sizes[0]))
-    return f"{size:.3g} sin(2 pi {x} / {length:.3g} {unit} {phase:+.2g}) {sizes[2]:+.3g}"
+def beside_law(
+    metric: ErrorModel, state: Laplace, columns: FloatArray, taken: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Give what a state leaves of the data to columns, which are given by their factors under a metric.
 
-
-SHAPES = (
-    Shape("line", lambda u, _: _with_one(u), np.ones(1), lambda s, _, x, unit: f"{s[0]:.3g} {x}/range {s[1]:+.3g}"),
-    Shape(
-        "parabola", lambda u, _: _with_one(u**2, u), np.ones(1),
-        lambda s, _, x, unit: f"{s[0]:.3g} ({x}/range)^2 {s[1]:+.3g} {x}/range {s[2]:+.3g}",
-    ),
-    Shape(
-        "modulus", lambda u, c: _with_one(np.abs(u - c)), np.linspace(0.05, 0.95, 91),
-        lambda s, c, x, unit: f"{s[0]:.3g} |{x} - {c:.3g} {unit}|/range {s[1]:+.3g}",
-    ),
-    Shape(
-        "step", lambda u, c: _with_one(1.0 / (1.0 + np.exp(-np.clip((u - c) / 0.01, -50, 50)))),
-        np.linspace(0.05, 0.95, 91), lambda s, c, x, unit: f"{s[0]:.3g} step({x} - {c:.3g} {unit}) {s[1]:+.3g}",
-    ),
-    Shape(
-        "exponential", lambda u, c: _with_one(np.exp(-u / c)), np.geomspace(1 / 60, 2.0, 40),
-        lambda s, c, x, unit: f"{s[0]:.3g} exp(-{x} / {c:.3g} {unit}) {s[1]:+.3g}",
-    ),
-    Shape("sine", lambda u, c: _with_one(np.sin(2 * np.pi * u / c), np.cos(2 * np.pi * u / c)),
-          1.0 / np.arange(1.0, 16.0, 0.1), _wave),
-)  # fmt: skip
-
-
-def formula_of(at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArray, name: str, unit: str) -> str | None:
-    """Simplest formula that lies within the band of a curve, per cent of Fy, or misses it by less than what matters.
-
-    Its right-hand side, with symbol and unit of the coordinate; None where no shape of a few numbers does.
+    Products with the data, shape (p,), once the parameters are integrated out; products with the derivatives, and
+    these solved by the precision of the parameters, shape (n_law, p): their product is what the former take up.
     """
-    first, span = float(at[0]), float(np.ptp(at))
-    u = (at - first) / span
-    weight = 1.0 / np.maximum(high - low, 0.2 * 100 * MIN_EFFECT)
-    allowed = np.maximum(0.5 * (high - low), 100 * MIN_EFFECT)
-    for shape in SHAPES:
-        best: tuple[float, FloatArray, float] | None = None
-        for length in shape.lengths:
-            columns = shape.columns(u, float(length))
-            solved = np.linalg.lstsq(columns * weight[:, None], mean * weight, rcond=1e-9)[0]
-            sizes = np.asarray(solved, dtype=np.float64)
-            worst = float(np.max(np.abs(columns @ sizes - mean) / allowed))
-            if best is None or worst < best[0]:
-                best = (worst, sizes, float(length))
-        assert best is not None
-        if best[0] <= 1.0:
-            place = best[2] * span + (first if shape.name in ("modulus", "step") else 0.0)
-            symbol = name if first == 0.0 or shape.name in ("modulus", "step") else f"({name} - {first:.3g} {unit})"
-            return shape.text(best[1], place, symbol, unit)
-    return None
+    beside, beside_taken = metric.factors(state.beside())
+    law = Gaussian.of(beside.T @ beside - beside_taken.T @ beside_taken)
+    along, cross = np.split(beside.T @ columns - beside_taken.T @ taken, [1])
+    solved = law.solve(cross)
+    return np.asarray(along[0] - law.along @ solved), cross, solved
+
+
+def _gained(c: Candidate, own: Gaussian) -> Candidate:
+    """Candidate with its gain, averaged over its size before the test."""
+    curve = c.variant.curve
+    sizes = SIZES_OF_STARTS if curve is None else np.array(SIZES) / curve.size
+    weights = np.full(sizes.size, 1.0 / sizes.size) if curve is None else size_weights()
+    parts = log_gains(own.inner, own.along, sizes) + np.log(weights)
+    gain = float(np.logaddexp.reduce(parts) + np.log(c.variant.weight))
+    best = float(sizes[np.argmax(parts)])
+    c = replace(c, change=c.columns @ (best * own.sized(best).mean))
+    if curve is None:
+        return replace(c, gain=gain)
+    curve = sized(curve, curve.size * best)
+    effect = curve.effect()
+    model = c.model.with_effects((*c.model.effects[:-1], effect))
+    return replace(c, gain=gain, model=model, variant=replace(c.variant, curve=curve, effect=effect))
+
+
+def curves_of(data: BinnedData, state: Laplace, of: Dependence) -> FloatArray | None:
+    """Give the curves of a class, kN by unit of normal coefficients, shape (n, p); None where it has none.
+
+    To first order, with the standard deviation of `Curve.size`. A class may have several: heat decays sooner or later.
+    What acts on the motion has none.
+    """
+    curves = [v for v in of.variants if v.curve is not None and not v.curve.sides]
+    if not curves:
+        return None
+    likely = {v.curve.coordinate: v for v in sorted(curves, key=lambda v: v.weight) if v.curve is not None}
+    one = replace(of, variants=tuple(likely.values()))
+    return np.column_stack([c.columns for c in candidates(data, state, (one,))])
+
+
+def missed_by(data: BinnedData, state: Laplace, of: Dependence, size: float) -> FloatArray | None:
+    """Give what a form of a size, a share of Fy, may miss over the coordinate of a class: curves as of `curves_of`.
+
+    With a standard deviation of 1 - `EXPLAINED` of the size.
+    """
+    curves = curves_of(data, state, of)
+    return None if curves is None else curves * ((1.0 - EXPLAINED) * size / Curve.size)
+
+
+def beside_missed(
+    metric: ErrorModel,
+    state: Laplace,
+    found: Sequence[tuple[Candidate, float]],
+    others: Sequence[Dependence] = (),
+) -> Laplace:
+    """Give a state with a covariance that counts what its formulas may miss, and the classes that it does not hold.
+
+    A formula may miss a curve, `missed_by`: `found` holds the classes of the model with their sizes, as shares of Fy.
+    Each of the `others` counts with its probability: one that is too small to matter for the force may still move the
+    parameters by more than noise does. All to first order. The parameters stay as they are; how far they would move is
+    uncertainty.
+    """
+    covariance = state.covariance.copy()
+    missed = [
+        curves
+        for member, size in found
+        if member.variant.curve is None and (curves := missed_by(metric.data, state, member.of, size)) is not None
+    ]
+    if missed:
+        covariance = _spread(metric, state, *missed)
+    best: dict[str, Candidate] = {}
+    for c in screen(metric, state, candidates(metric.data, state, tuple(others))):
+        best.setdefault(c.of.id, c)
+    for c in best.values():
+        column = c.change[:, None] if c.variant.curve is None else unit_columns(c)
+        covariance += expit(c.gain + LOG_PRIOR_ODDS) * (_spread(metric, state, column) - state.covariance)
+    return replace(state, covariance=covariance)
+
+
+def _spread(metric: ErrorModel, state: Laplace, *columns: FloatArray) -> FloatArray:
+    """Covariance of the parameters beside further columns, with the square of how far they move from where they are."""
+    d = state.z.size
+    wide = metric.gaussian(state.beside(*columns))
+    moved = wide.mean[:d] - state.z
+    return np.asarray(wide.covariance[:d, :d] + np.outer(moved, moved))

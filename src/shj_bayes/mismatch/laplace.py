@@ -25,11 +25,10 @@ CLOSE = 1e-2  # square of the last step, in posterior standard deviations
 class Laplace:
     """A model at its most probable parameters under a metric."""
 
-    model: DeviceModel  # the model
+    model: DeviceModel
     z: FloatArray  # shape (n_law,): parameters of its law in the unbounded space
-    # residual, slope: shape (n,): measured less modelled force (kN) of each block; slope of the latter (kN/mm)
-    residual: FloatArray
-    slope: FloatArray
+    residual: FloatArray  # shape (n,): measured less modelled force of each block, kN
+    slope: FloatArray  # shape (n,): of the latter, kN/mm
     jacobian: FloatArray  # shape (n, n_law): derivatives of the force
     gaussian: Gaussian  # the linearised data and the derivatives
     covariance: FloatArray  # shape (n_law, n_law): of the parameters
@@ -59,9 +58,8 @@ def drawn_from(state: Laplace, n: int, seed: int = 1) -> FloatArray:
 def laplace(metric: ErrorModel, model: DeviceModel, z: FloatArray, floor: float = -math.inf) -> Laplace:
     """Go to the most probable parameters by steps of Gauss-Newton from `z`, shape (n_law,), and linearise there.
 
-    Steps are kept as short as the derivatives have foretold them well: from far away a formula is no straight line.
-
-    Stops on the way where steps like the last one would not reach a log density of `floor`.
+    Steps are kept as short as the derivatives have foretold them well: from far away a formula is no straight line. It
+    ends on the way where steps like the last one would not reach a log density of `floor`.
     """
 
     def height(residual: FloatArray, at: FloatArray) -> float:
@@ -138,8 +136,9 @@ def zero_of(metric: ErrorModel, state: Laplace) -> tuple[float, float]:
     """Mean and standard deviation of the error of the load cell's zero, averaged over the runs, kN."""
     columns = np.column_stack([metric.whitened(state.beside()), metric.other])
     whole = Gaussian.of(columns.T @ columns)
-    zero = metric.data.missed.zero_kN / metric.data.missed.zero_kN.size
-    weights = np.append(np.zeros(whole.along.size - zero.size), zero)
+    n = len(metric.data.blocks)
+    zeros_kN = metric.data.missed_sizes(0.0)[-n:]
+    weights = np.append(np.zeros(whole.along.size - n), zeros_kN / n)
     return float(weights @ whole.mean), math.sqrt(float(weights @ whole.solve(weights)))
 
 
@@ -157,7 +156,7 @@ def find_noise(
     `ErrorParameters.size_kN`.
     A run holds at least `VALUES_SEEN` independent values of it (two memories are from one to the next).
     """
-    missed = data.missed.columns(state.slope)
+    missed = data.missed_at(state.slope)
     beside = np.column_stack([state.beside(columns), missed])
     known = np.ones(beside.shape[1] - 1 - missed.shape[1])
     unit = MODEL_ERROR * data.scale_kN
@@ -179,7 +178,7 @@ def find_noise(
         noise = setting(u)
         inner, constant = products(replace(noise, model_error_kN=unit))  # which whitens nothing
         constant += noise.log_prior(data)
-        sizes = np.append(known, data.missed.sizes(noise.model_error_kN))
+        sizes = np.append(known, data.missed_sizes(noise.model_error_kN))
         try:
             return -Gaussian.of(inner, constant).sized(sizes).log_evidence
         except np.linalg.LinAlgError:  # noise so small that rounding tells nothing of one column beside the others

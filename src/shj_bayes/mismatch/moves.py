@@ -29,6 +29,7 @@ from shj_bayes.mismatch.hypothesis import (
     is_curve,
     joined,
     replaced,
+    screen,
     second_of,
     size_of,
     tolerance,
@@ -36,7 +37,6 @@ from shj_bayes.mismatch.hypothesis import (
 )
 from shj_bayes.mismatch.laplace import laplace_under, visible
 from shj_bayes.mismatch.periodic import Chatter
-from shj_bayes.mismatch.screen import screen
 from shj_bayes.model.coordinates import coordinates_of
 
 PROMISING = 0.7  # of what matters, to first order; less is not followed
@@ -53,30 +53,14 @@ FOLLOWED = 100.0  # nats; while classes are still to come, likewise
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What a search for the classes that a device holds has found.
+    """What a search for the classes that a device holds has found."""
 
-    Attributes
-    ----------
-    fitter : Fitter
-        What hypotheses are fitted under.
-    found : mapping of frozenset of str to Hypothesis
-        The best hypothesis of each set of classes, by its key.
-    curves : mapping of frozenset of str to Hypothesis
-        The same with curves only, no formulas.
-    bends : frozenset of str
-        Effects on the motion whose bends the blocks of the recordings follow.
-    chatter : Chatter, optional
-        Scatter that the sliding makes, beside the best hypothesis.
-    tell : callable
-        Gets one line for each step.
-    """
-
-    fitter: Fitter
-    found: Mapping[frozenset[str], Hypothesis] = field(default_factory=dict)
-    curves: Mapping[frozenset[str], Hypothesis] = field(default_factory=dict)
-    bends: frozenset[str] = frozenset()
-    chatter: Chatter | None = None
-    tell: Callable[[str], None] = lambda _: None
+    fitter: Fitter  # what hypotheses are fitted under
+    found: Mapping[frozenset[str], Hypothesis] = field(default_factory=dict)  # the best one of each set of classes
+    curves: Mapping[frozenset[str], Hypothesis] = field(default_factory=dict)  # the same with curves only, no formulas
+    bends: frozenset[str] = frozenset()  # effects on the motion whose bends the blocks of the recordings follow
+    chatter: Chatter | None = None  # scatter that the sliding makes, beside the best hypothesis
+    tell: Callable[[str], None] = lambda _: None  # gets one line for each step
 
     @property
     def data(self) -> BinnedData:
@@ -103,10 +87,15 @@ class Search:
 
     def keep(self, new: Hypothesis | None) -> "Search":
         """Keep a hypothesis if it is better than what is known under its key; nothing where there was no fit."""
+
+        def kept(known: Mapping[frozenset[str], Hypothesis], new: Hypothesis) -> Mapping[frozenset[str], Hypothesis]:
+            has = known.get(new.key)
+            return known if has is not None and has.log_weight >= new.log_weight else {**known, new.key: new}
+
         if new is None:
             return self
-        curves = _with(self.curves, new) if all(is_curve(m) for m in new.members) else self.curves
-        return replace(self, found=_with(self.found, new), curves=curves)
+        curves = kept(self.curves, new) if all(is_curve(m) for m in new.members) else self.curves
+        return replace(self, found=kept(self.found, new), curves=curves)
 
     def add(self, members: tuple[Candidate, ...], start: FloatArray) -> "Search":
         """Fit a hypothesis from a start, and keep it."""
@@ -129,7 +118,7 @@ class Search:
         They lower the mean force most in the direction in which they are largest.
         """
         of = h.members[place].of
-        teeth = self.chatter if of.id == DIRECTION and of.action == "capacity" else None
+        teeth = self.chatter if of.id == DIRECTION else None
         if teeth and teeth.lowers * h.state.z[columns_of(self.data, h.state, place)[0]] > 0.0:
             return self.matters
         return self.matters_among(of)
@@ -141,12 +130,6 @@ class Search:
             return self.matters_in_strokes
         among = of.action == "capacity" and ("test" in goes or of.id == DIRECTION)
         return max(self.matters, self.chatter.apart) if self.chatter and among else self.matters
-
-
-def _with(hypotheses: Mapping[frozenset[str], Hypothesis], new: Hypothesis) -> Mapping[frozenset[str], Hypothesis]:
-    """Give hypotheses with a new one where it is better than the one of its key."""
-    known = hypotheses.get(new.key)
-    return hypotheses if known is not None and known.log_weight >= new.log_weight else {**hypotheses, new.key: new}
 
 
 def try_constant(search: Search) -> Search:
@@ -206,37 +189,31 @@ def add_one(search: Search, h: Hypothesis) -> Search:
 
 
 def near_to(height: float, before: float, nats: float) -> float:
-    """Log weight from which hypotheses are near to the best, where it has gone from `before` to a height.
-
-    A smooth curve may miss as much of a steep formula as a formula may miss of a curve.
-    """
+    """Log weight that is near to the best, which has gone from `before` to a height: a curve may miss a part."""
     return height - max(nats, (1.0 - EXPLAINED) * (height - before))
 
 
 def moving(search: Search, n: int) -> list[Hypothesis]:
     """Most probable hypothesis with so many classes of which one acts on the motion, while the noise is capped.
 
-    It is followed though others have more evidence: large effects are still to come, and as long as push and pull
-    differ, say, a curve over position does more than a gap does, and ends beside others far from it.
+    As long as other large effects are still to come, a curve over position does more than a gap does.
     """
     own = [h for h in search.ranked(n) if any(m.of.action == MOTION for m in h.members)]
     return own[:1] if search.metric.is_capped else []
 
 
 def replace_by_formula(search: Search, h: Hypothesis, first: int = 0, *, again: bool = False) -> Search:
-    """Try the published formulas in the place of each curve: where one is better, it is what the class holds.
+    """Try the formulas of a class in the place of each of its curves, and of what acts on the motion.
 
-    Of the members from the place `first` on. What acts on the motion has no curve: others in the place of its
-    formula. `again` tries them in the place of all formulas: the best one was chosen beside other classes and other
-    noise.
+    Of the members from the place `first` on. `again` tries them in the place of all formulas: the best one was chosen
+    beside other classes and other noise.
     """
     for place in range(first, len(h.members)):
         h = search.found[h.key]
         member = h.members[place]
         if again or member.variant.curve is not None or member.of.action == MOTION:
-            beside = second_of(member) == DISTANCE and DISTANCE not in h.key
             tried = ((replaced(h, place, form), form) for form in search.fitter.forms(h, place))
-            if beside:
+            if second_of(member) == DISTANCE and DISTANCE not in h.key:
                 for one in search.fitter.all_fitted(tried)[:BEAM]:
                     search = _beside_distance(search.keep(one), one, first)
             else:
@@ -258,9 +235,7 @@ def _beside_distance(search: Search, one: Hypothesis, first: int) -> Search:
 
 
 def beside_direction(search: Search, h: Hypothesis, place: int) -> Search:
-    """Try a formula or a curve beside a difference of push and pull in the place of curves for push and pull.
-
-    They hold both.
+    """Try a difference of push and pull, beside a formula or a curve, in the place of curves for push and for pull.
 
     The rest is fitted with the difference first: beside such curves the parameters of the law may be anywhere.
     """
@@ -309,10 +284,8 @@ def swap_one(search: Search) -> Search:
 def split_curve(search: Search) -> Search:
     """Look for two classes in the place of each curve that matters and that no formula follows.
 
-    A smooth curve over one coordinate can do what formulas over two others, or a formula over its own and something
-    over another, do together. Neither alone comes near it, so a search that adds one after another ends in it. What
-    is no better than more noise is not explained, nor one of as many classes as a hypothesis may hold, nor any while
-    the noise is capped.
+    Neither alone comes near what formulas over two coordinates do together. Not where more noise does as well, and not
+    while the noise is capped.
     """
     if search.metric.is_capped:
         return search
@@ -324,19 +297,15 @@ def split_curve(search: Search) -> Search:
         if size_of(search.data, h, place) < search.matters_of(h, place):
             continue
         rest = search.fitter.fitted(*without(search.data, h, place))
-        if rest is not None and not is_no_better_than_noise(search.fitter, h, rest):
-            search = _in_place_of_curve(search, h, place, rest)
+        if rest is None or is_no_better_than_noise(search.fitter, h, rest):
+            continue
+        if next(following(search.fitter, h, place), None) is None:
+            search = _in_place_of_curve(search, h, member.of, rest)
     return search
 
 
-def _in_place_of_curve(search: Search, h: Hypothesis, place: int, rest: Hypothesis) -> Search:
-    """Fit the promising hypotheses with two classes in the place of a curve that no formula follows.
-
-    `rest` is the hypothesis without it.
-    """
-    if any(True for _ in following(search.fitter, h, place)):
-        return search
-    of = h.members[place].of
+def _in_place_of_curve(search: Search, h: Hypothesis, of: Dependence, rest: Hypothesis) -> Search:
+    """Fit the promising hypotheses with two classes in the place of a curve; `rest` is the hypothesis without it."""
     search.tell(f"looking for two dependences in the place of {of.id}")
     looked = [c for c in search.fitter.looked if c.of.id != of.id or c.variant.curve is None]
     floor, n = h.log_weight - RIVAL, len(rest.members)
@@ -371,10 +340,7 @@ def is_no_better_than_noise(fitter: Fitter, h: Hypothesis, less: Hypothesis) -> 
 
 
 def follow_bends(search: Search) -> Search:
-    """Average the recordings in blocks that follow the bends of what acts on the motion, and fit anew.
-
-    Where a gap is crossed the force bends twice within a block of the base law: gaps were fitted far too soft.
-    """
+    """Fit anew in blocks that follow the bends of what acts on the motion: at a gap a block has two."""
     h = search.best
     bends = frozenset(m.variant.effect.id for m in h.members if m.of.action == MOTION)
     if bends <= search.bends:

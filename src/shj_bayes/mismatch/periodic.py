@@ -19,11 +19,12 @@ from shj_bayes.mismatch.hypothesis import (
     Candidate,
     Dependence,
     Parametrisation,
+    beside_law,
     candidates,
+    screen,
     size_weights,
 )
 from shj_bayes.mismatch.laplace import Laplace, laplace_under
-from shj_bayes.mismatch.screen import beside_law, screen
 from shj_bayes.model.coordinates import Coordinate, coordinates, coordinates_of
 from shj_bayes.model.curve import PERIODS_PER_UNIT, SIZES, Curve
 from shj_bayes.model.effects.effect import Effect, Values
@@ -53,12 +54,10 @@ def of_whole_cycles(data: BinnedData, of: Dependence) -> Dependence:
 
     The smoothest curves stay, and have the probability of those that are left out. The class itself where nothing is.
     """
-    if not is_over_a_clock(of):
-        return of
     histories = [part.history for part in data.blocks]
     moved_s = sum(float(h.time_s[-1] - h.time_s[0]) for h in histories)
     cycle = 2.0 * moved_s / sum(h.motion.n_half for h in histories) / histories[-1].tested_s
-    if all(v.curve is None or v.curve.length >= cycle for v in of.variants):
+    if not is_over_a_clock(of) or all(v.curve is None or v.curve.length >= cycle for v in of.variants):
         return of
     kept = tuple(v for v in of.variants if v.curve is None)
     for sides in sorted({v.curve.sides for v in of.variants if v.curve}):
@@ -107,10 +106,10 @@ def by_stroke(data: BinnedData, columns: Sequence[FloatArray]) -> list[FloatArra
 
 
 def keep_step(strokes: Sequence[NDArray[Any]], *, sides: bool = False) -> BoolArray:
-    """Whether most of each function, more than half its variance, is the same in each cycle, shape (p,).
+    """Whether more than half of the variance of each function, as from `by_stroke`, is the same in each cycle, (p,).
 
-    Of functions, which may be complex, as from `by_stroke`; with `sides` their variance is that about their means in
-    push and in pull. A constant keeps step; nothing does where a test has no second cycle.
+    They may be complex; with `sides` their variance is that about their means in push and in pull. A constant keeps
+    step; nothing does where a test has no second cycle.
     """
     if min(len(own) for own in strokes) < 2:
         return np.zeros(strokes[0].shape[2], dtype=bool)
@@ -156,21 +155,17 @@ def waves(metric: ErrorModel, state: Laplace, of: Dependence, most: int = 2) -> 
     out = []
     for peak in peaks[np.argsort(-gains[peaks], kind="stable")][:most]:
         near = frequencies[peak] + spacing * np.linspace(-0.75, 0.75, 13)
-        best = _top_of(near, _gains(metric, state, _columns(data, over, response, near)))
-        period = round(PERIODS_PER_UNIT / best) / PERIODS_PER_UNIT
-        curve = Curve(of.action, over.id, LENGTH, period=period)
+        height = _gains(metric, state, _columns(data, over, response, near))
+        # The top of the parabola through the highest one and its neighbours.
+        k = int(np.clip(np.argmax(height), 1, near.size - 2))
+        below, middle, above = height[k - 1 : k + 2]
+        bend = 2.0 * middle - below - above
+        shift = 0.5 * (above - below) / bend if bend > 0.0 else 0.0
+        best = float(near[k] + np.clip(shift, -1.0, 1.0) * (near[1] - near[0]))
+        curve = Curve(of.action, over.id, LENGTH, period=round(PERIODS_PER_UNIT / best) / PERIODS_PER_UNIT)
         variant = Parametrisation(curve, curve.effect(), weight)
         out += [replace(c, of=of) for c in candidates(data, state, (replace(of, variants=(variant,)),))]
     return out
-
-
-def _top_of(at: FloatArray, height: FloatArray) -> float:
-    """Where the parabola through the highest of evenly spaced points and its neighbours is highest."""
-    k = int(np.clip(np.argmax(height), 1, at.size - 2))
-    below, middle, above = height[k - 1 : k + 2]
-    bend = 2.0 * middle - below - above
-    shift = 0.5 * (above - below) / bend if bend > 0.0 else 0.0
-    return float(at[k] + np.clip(shift, -1.0, 1.0) * (at[1] - at[0]))
 
 
 def resolved(metric: ErrorModel, state: Laplace, of: Sequence[Dependence]) -> BinnedData:
@@ -191,25 +186,20 @@ def resolved(metric: ErrorModel, state: Laplace, of: Sequence[Dependence]) -> Bi
             continue
         own, base = found
         best = max(screen(own, base, waves(own, base, one, 1)), key=lambda c: c.gain, default=None)
-        curve = best.variant.curve if best is not None and best.gain > 0.0 else None
-        if best is None or curve is None or curve.period is None:
-            continue
+        period = best.variant.curve.period if best and best.variant.curve and best.gain > 0.0 else None
         # Averaged over nearly half a period a wave is too small; a clock has others beside it.
-        if curve.period * _limits(data, over)[1] >= (1.0 if is_clock(over) else 2.0):
+        if best is None or period is None or period * _limits(data, over)[1] >= (1.0 if is_clock(over) else 2.0):
             continue
         if is_clock(over):
             shown = own.data if shown is data else shown
-        elif _is_most_of(base.residual, best.change, round(PER_TURN * base.residual.size / state.residual.size)):
-            longest_s = 0.5 * curve.period / (PER_TURN * data.blocks[0].history.peak_speed_mm_s)
+            continue
+        n_smooth = round(PER_TURN * base.residual.size / state.residual.size)
+        all_of_it, rest = (f - uniform_filter1d(f, n_smooth) for f in (base.residual, base.residual - best.change))
+        if float(np.var(rest)) < (1.0 - GOOD_PART) * float(np.var(all_of_it)):
+            longest_s = 0.5 * period / (PER_TURN * data.blocks[0].history.peak_speed_mm_s)
             # From the first reading of a block to its last.
             shown = replace(data, longest_s=max(0.0, longest_s - data.timings[0].step_s)).finer_at(state.model, state.z)
     return shown
-
-
-def _is_most_of(residual: FloatArray, wave: FloatArray, n_smooth: int) -> bool:
-    """Whether a wave is a good part of what a residual does within so many blocks."""
-    quick = [f - uniform_filter1d(f, n_smooth) for f in (residual, residual - wave)]
-    return float(np.var(quick[1])) < (1.0 - GOOD_PART) * float(np.var(quick[0]))
 
 
 def _finest(data: BinnedData, state: Laplace, over: Coordinate) -> BinnedData | None:
@@ -221,7 +211,7 @@ def _finest(data: BinnedData, state: Laplace, over: Coordinate) -> BinnedData | 
     if fastest >= MOST_TURNS / 2.0 * slowest:
         return None
     if is_clock(over):
-        return data.finer
+        return data.finer_at(data.device, data.z)
     history = data.blocks[0].history
     low, high = over.reach(history)
     shortest = (high - low) / MOST_TURNS
@@ -346,8 +336,7 @@ class Chatter:
     share: float  # of the sliding time in which it is larger than noise
     of_strokes: FloatArray  # shape (n,): largest distance in each stroke that chatters, as a share of Fy
     apart: float  # largest less smallest of these over all strokes that slide, 0 for those that do not chatter
-    # direction that it lowers the mean force of, 1 push, -1 pull: the one with the larger distances in the mean
-    lowers: float
+    lowers: float  # direction that it lowers the mean force of, 1 push, -1 pull: that of the larger distances
 
 
 def chatter_of(data: BinnedData, state: Laplace, most_kN: float) -> Chatter | None:
@@ -370,10 +359,7 @@ def chatter_of(data: BinnedData, state: Laplace, most_kN: float) -> Chatter | No
 
 
 def _half_cycles(fine: BinnedData, rows: FloatArray, together: int) -> Iterator[tuple[FloatArray, FloatArray, float]]:
-    """Residual of each half-cycle, kN, and how far the law alone is loaded, 0 to 1, in means of so many readings.
-
-    And its direction, 1 or -1.
-    """
+    """Rows (residual, kN; load, 0 to 1) of each half-cycle in means of so many readings, and its direction, 1 or -1."""
     first = 0
     for part in fine.blocks:
         halves = zip(part.timing.half[:-1], part.timing.half[1:], part.history.motion.direction, strict=True)

@@ -1,5 +1,7 @@
-"""Where a residual lies, and what looks alike there."""
+"""Where a residual lies, what looks alike there, and how a curve is written."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -8,6 +10,7 @@ from scipy.special import ndtr
 from shj_bayes._util.arrays import BoolArray, FloatArray, IntArray
 from shj_bayes.inference.start import extended, orthogonal_to
 from shj_bayes.mismatch.data import BinnedData, ErrorModel
+from shj_bayes.mismatch.hypothesis import MIN_EFFECT
 from shj_bayes.mismatch.laplace import Laplace
 from shj_bayes.model.coordinates import coordinate_named
 from shj_bayes.model.effects.effect import catalogue
@@ -80,24 +83,23 @@ def regions_of(metric: ErrorModel, base: Laplace) -> list[Location]:
     table = np.stack(columns, axis=1)
     large = np.count_nonzero(table, axis=0) >= MIN_SHARE * data.blocks.used.sum()
     table, cuts = table[:, large], [cut for cut, ok in zip(cuts, large, strict=True) if ok]
-    p_values = _p_values(metric, base, table)
+    # Two-sided chance of each column's product with the residual, beside the parameters of the law.
+    rest = metric.gaussian(base.beside(table)).given(base.z.size)
+    p_values = 2.0 * ndtr(-np.abs(rest.along) / np.sqrt(np.maximum(np.diag(rest.inner), 1e-300)))
     whole = float(base.residual @ base.residual)
     found = []
     for (coordinate, unit, interval, side), column, p in zip(cuts, table.T, p_values, strict=True):
         own = np.flatnonzero(column)
         squares = np.bincount(run[own], weights=base.residual[own] ** 2)
-        runs = tuple(int(i) for i in np.flatnonzero(squares >= 0.1 * squares.sum()) if i > 0)
-        mean = float(column[own] @ base.residual[own]) / own.size
-        share = float(squares.sum()) / max(whole, 1e-300)
         found.append(
             Location(
                 coordinate=coordinate,
                 unit=unit,
                 interval=interval,
                 direction=side,
-                runs=runs,
-                size_kN=mean,
-                share=share,
+                runs=tuple(int(i) for i in np.flatnonzero(squares >= 0.1 * squares.sum()) if i > 0),
+                size_kN=float(column[own] @ base.residual[own]) / own.size,
+                share=float(squares.sum()) / max(whole, 1e-300),
                 p_value=min(1.0, float(p) * len(cuts)),
             )
         )
@@ -121,7 +123,71 @@ def _side(word: str, inside: BoolArray, sense: FloatArray) -> FloatArray:
     return np.asarray(inside & (sense > 0 if word == "push" else sense < 0), dtype=np.float64)
 
 
-def _p_values(metric: ErrorModel, base: Laplace, table: FloatArray) -> FloatArray:
-    """Two-sided chance of each column's product with the residual, beside the parameters of the law."""
-    rest = metric.gaussian(base.beside(table)).given(base.z.size)
-    return np.asarray(2.0 * ndtr(-np.abs(rest.along) / np.sqrt(np.maximum(np.diag(rest.inner), 1e-300))))
+@dataclass(frozen=True)
+class Shape:
+    """A curve over a share u of a range: linear in its sizes, with one length or place that is not."""
+
+    name: str  # short word
+    # ``columns(u, length)``, shape (n, n_sizes); the last size is a constant
+    columns: Callable[[FloatArray, float], FloatArray]
+    lengths: FloatArray  # lengths or places to try, as shares of the range
+    # ``text(sizes, length, name, unit)`` writes the formula; lengths are in the unit
+    text: Callable[[FloatArray, float, str, str], str]
+
+
+def _with_one(*columns: FloatArray) -> FloatArray:
+    return np.stack([*columns, np.ones_like(columns[0])], axis=1)
+
+
+def _wave(sizes: FloatArray, length: float, x: str, unit: str) -> str:
+    size, phase = float(np.hypot(sizes[0], sizes[1])), float(np.arctan2(sizes[1], sizes[0]))
+    return f"{size:.3g} sin(2 pi {x} / {length:.3g} {unit} {phase:+.2g}) {sizes[2]:+.3g}"
+
+
+SHAPES = (
+    Shape("line", lambda u, _: _with_one(u), np.ones(1), lambda s, _, x, unit: f"{s[0]:.3g} {x}/range {s[1]:+.3g}"),
+    Shape(
+        "parabola", lambda u, _: _with_one(u**2, u), np.ones(1),
+        lambda s, _, x, unit: f"{s[0]:.3g} ({x}/range)^2 {s[1]:+.3g} {x}/range {s[2]:+.3g}",
+    ),
+    Shape(
+        "modulus", lambda u, c: _with_one(np.abs(u - c)), np.linspace(0.05, 0.95, 91),
+        lambda s, c, x, unit: f"{s[0]:.3g} |{x} - {c:.3g} {unit}|/range {s[1]:+.3g}",
+    ),
+    Shape(
+        "step", lambda u, c: _with_one(1.0 / (1.0 + np.exp(-np.clip((u - c) / 0.01, -50, 50)))),
+        np.linspace(0.05, 0.95, 91), lambda s, c, x, unit: f"{s[0]:.3g} step({x} - {c:.3g} {unit}) {s[1]:+.3g}",
+    ),
+    Shape(
+        "exponential", lambda u, c: _with_one(np.exp(-u / c)), np.geomspace(1 / 60, 2.0, 40),
+        lambda s, c, x, unit: f"{s[0]:.3g} exp(-{x} / {c:.3g} {unit}) {s[1]:+.3g}",
+    ),
+    Shape("sine", lambda u, c: _with_one(np.sin(2 * np.pi * u / c), np.cos(2 * np.pi * u / c)),
+          1.0 / np.arange(1.0, 16.0, 0.1), _wave),
+)  # fmt: skip
+
+
+def formula_of(at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArray, name: str, unit: str) -> str | None:
+    """Simplest formula that lies within the band of a curve, per cent of Fy, or misses it by less than what matters.
+
+    Its right-hand side, with symbol and unit of the coordinate; None where no shape of a few numbers does.
+    """
+    first, span = float(at[0]), float(np.ptp(at))
+    u = (at - first) / span
+    weight = 1.0 / np.maximum(high - low, 0.2 * 100 * MIN_EFFECT)
+    allowed = np.maximum(0.5 * (high - low), 100 * MIN_EFFECT)
+    for shape in SHAPES:
+        best: tuple[float, FloatArray, float] | None = None
+        for length in shape.lengths:
+            columns = shape.columns(u, float(length))
+            solved = np.linalg.lstsq(columns * weight[:, None], mean * weight, rcond=1e-9)[0]
+            sizes = np.asarray(solved, dtype=np.float64)
+            worst = float(np.max(np.abs(columns @ sizes - mean) / allowed))
+            if best is None or worst < best[0]:
+                best = (worst, sizes, float(length))
+        assert best is not None
+        if best[0] <= 1.0:
+            place = best[2] * span + (first if shape.name in ("modulus", "step") else 0.0)
+            symbol = name if first == 0.0 or shape.name in ("modulus", "step") else f"({name} - {first:.3g} {unit})"
+            return shape.text(best[1], place, symbol, unit)
+    return None

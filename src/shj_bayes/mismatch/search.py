@@ -24,6 +24,7 @@ from shj_bayes.mismatch.hypothesis import (
     Parametrisation,
     candidates,
     replaced,
+    screen,
     without,
 )
 from shj_bayes.mismatch.laplace import laplace_under, zero_of
@@ -57,7 +58,6 @@ from shj_bayes.mismatch.periodic import (
     resolved,
     waves,
 )
-from shj_bayes.mismatch.screen import screen
 from shj_bayes.model.curve import Curve
 
 EVEN, EARLY = (0.05, 0.15, 0.5), (0.15, 0.5)  # lengths of curves on a linear scale and on one that is fine at first
@@ -121,7 +121,10 @@ def deepen_from(out: Search, first: int) -> Search:
     for depth in range(first, DEPTH):
         before, out = out.best, detect_chatter(out, most=BY_TEETH)
         out.tell(f"looking beyond {' and '.join(sorted(before.key)) or 'the base law'}")
-        out = _grown(out, depth)
+        level = out.ranked(depth)
+        near = [h for h in level[:BEAM] if h.log_weight > before.log_weight - FOLLOWED or h is level[0]]
+        for h in dict.fromkeys((*near, *moving(out, depth))):
+            out = add_one(out, h)
         if out.best.key != before.key:
             out = _refined(out, before, depth)
         elif len(out.best.members) <= depth:
@@ -129,15 +132,6 @@ def deepen_from(out: Search, first: int) -> Search:
         if out.metric.is_capped and is_no_better_than_noise(out.fitter, out.best, before):
             break
         out = follow_bends(out)
-    return out
-
-
-def _grown(out: Search, depth: int) -> Search:
-    """Add a class to the best hypotheses with so many."""
-    level, best = out.ranked(depth), out.best
-    near = [h for h in level[:BEAM] if h.log_weight > best.log_weight - FOLLOWED or h is level[0]]
-    for h in dict.fromkeys((*near, *moving(out, depth))):
-        out = add_one(out, h)
     return out
 
 
@@ -206,31 +200,24 @@ def _under(out: Search, h: Hypothesis) -> Search:
 def _share_noise(out: Search, turns: int = TURNS) -> Search:
     """Search for the noise of each rival from that of the best hypothesis: the most probable one may be farther.
 
-    A rival is also what comes near to the best under its noise, however far it is under the noise found for itself.
-    Where one becomes the best, the others are weighed beside it, `turns` times at most.
+    A rival is also what comes near to the best under its noise. Where one becomes the best, the others are weighed
+    beside it, `turns` times at most.
     """
     best = out.best
     assert best.metric is not None
-    least = best.log_weight - RIVAL
-    under = _under(out, best).fitter
+    least, under = best.log_weight - RIVAL, _under(out, best).fitter
     for h in out.found.values():
-        near = h.log_weight > least
-        if h is not best and (near or _reaches(under, h, least)):
+        near = h is best or h.log_weight > least
+        one = None if near else under.fitted(h.members, h.state.z, least)
+        if h is not best and (near or (one is not None and one.log_weight > least)):
             out = out.keep(out.fitter.with_own_noise(h, best.metric.setting))
     return out if out.best is best or turns == 1 else _share_noise(out, turns - 1)
-
-
-def _reaches(fitter: Fitter, h: Hypothesis, least: float) -> bool:
-    """Whether a hypothesis has a log weight of so much under the noise of a fitter."""
-    one = fitter.fitted(h.members, h.state.z, least)
-    return one is not None and one.log_weight > least
 
 
 def _offset_or_direction(out: Search) -> Search:
     """Weigh a constant force against push and pull that differ, in what is in contention with one of them.
 
-    Both move the plateaus; only a second run of another sliding force tells them apart, and the zero of the load cell
-    may be another one there. A search that has found either has no need of the other, and may never have fitted it.
+    Both move the plateaus, and a search that has found either may never have fitted the other.
     """
     for h in sorted(out.found.values(), key=lambda h: -h.log_weight):
         own, key = {CONSTANT, DIRECTION} & h.key, h.key ^ {CONSTANT, DIRECTION}
@@ -273,8 +260,7 @@ def _without_each(out: Search) -> Search:
 def _travel_or_time(out: Search) -> Search:
     """Weigh travel against time in each hypothesis in contention that holds one of them; see `_odds_of_other`.
 
-    A test goes on in both. That time has a step among its formulas makes no change with time more probable: formulas
-    say what a class may be called. Both together keep the probability of the better one.
+    Both together keep the probability of the better one.
     """
     for h in sorted(out.found.values(), key=lambda h: -h.log_weight):
         own, key = {TRAVEL, TIME} & h.key, h.key ^ {TRAVEL, TIME}
@@ -294,56 +280,47 @@ def _travel_or_time(out: Search) -> Search:
 def _odds_of_other(out: Search, h: Hypothesis, own: str, other: str) -> tuple[float, Hypothesis] | None:
     """Log odds of travel in the place of time, or of time in that of travel, and the best hypothesis with it.
 
-    They are those of curves of equal freedom. A curve is known to be right to about `PROPORTION` of itself, so evidence
-    that is a smaller share of what the class explains says nothing: the likelihood counts with a power that lets this
-    share weigh one nat (Miller and Dunson 2019, J. Am. Stat. Assoc. 114, 1113). None where the force goes back and
-    forth, as what is worn stays worn, or changes in one direction only. A class that no formula follows is no more
-    probable than one with a name.
+    They are those of curves of equal freedom, each as probable before the test. A curve is known to be right to about
+    `PROPORTION` of itself: the likelihood counts with a power that lets this share of what the class explains weigh one
+    nat (Miller and Dunson 2019, J. Am. Stat. Assoc. 114, 1113). None where the force goes back and forth, as what is
+    worn stays worn. A class that no formula follows is no more probable than one with a name.
     """
     place = [m.of.id for m in h.members].index(own)
     effect = h.members[place].variant.effect
-    if not goes_one_way(out.data, effect, h.state.values_of(effect)):
-        return None
     fitter = replace(out.fitter, metric=h.metric or out.metric)
-    rest = fitter.fitted(*without(out.data, h, place))
+    one_way = goes_one_way(out.data, effect, h.state.values_of(effect))
+    rest = fitter.fitted(*without(out.data, h, place)) if one_way else None
     if rest is None:
         return None
-    fits = {name: _with_curves(fitter, rest, name) for name in (own, other)}
+    fits: dict[str, list[Hypothesis]] = {}
+    for name in (own, other):
+        curves = [Curve("capacity", over, length) for over, length in FREE[name]]
+        variants = tuple(Parametrisation(curve, curve.effect(), 1.0) for curve in curves)
+        of = replace(fitter.classes[name], variants=variants)
+        tried = screen(fitter.metric, rest.state, candidates(out.data, rest.state, (of,)))
+        fits[name] = fitter.all_fitted(((*rest.members, c), c) for c in tried)
     if not all(fits.values()):
         return None
     weight = {name: float(np.logaddexp.reduce([one.log_weight for one in ones])) for name, ones in fits.items()}
     if weight[own] - rest.log_weight < EXPLAINED * (h.log_weight - rest.log_weight):
         return None
+
+    def named(h: Hypothesis, place: int) -> Hypothesis | None:
+        return max(following(fitter, h, place), key=lambda one: one.log_weight, default=None)
+
+    def is_named(h: Hypothesis, name: str) -> bool:
+        return any(m.of.id == name and m.variant.curve is None for m in h.members)
+
     best = max(fits[other], key=lambda one: one.log_weight)
-    drawn = _named(fitter, best, len(rest.members)) or best
+    drawn = named(best, len(rest.members)) or best
     rival = out.found.get(h.key ^ {own, other})
-    if rival is None or (drawn is not best and not _is_named(rival, other)):
+    if rival is None or (drawn is not best and not is_named(rival, other)):
         rival = replace(drawn, metric=h.metric)
-    gain = h.log_weight - out.best_within(h.key - {own})
-    odds = (weight[other] - weight[own]) / (1.0 + PROPORTION * gain)
-    named = _is_named(h, own) or _named(fitter, h, place) is not None, _is_named(rival, other)
-    if named[0] != named[1]:
-        odds = min(odds, -NAMED) if named[0] else max(odds, NAMED)
+    odds = (weight[other] - weight[own]) / (1.0 + PROPORTION * (h.log_weight - out.best_within(h.key - {own})))
+    both = is_named(h, own) or named(h, place) is not None, is_named(rival, other)
+    if both[0] != both[1]:
+        odds = min(odds, -NAMED) if both[0] else max(odds, NAMED)
     return odds, rival
-
-
-def _named(fitter: Fitter, h: Hypothesis, place: int) -> Hypothesis | None:
-    """Give a hypothesis with the best of the formulas that follow a curve; None where there is none."""
-    return max(following(fitter, h, place), key=lambda one: one.log_weight, default=None)
-
-
-def _is_named(h: Hypothesis, name: str) -> bool:
-    """Whether a hypothesis has a formula for one of its classes."""
-    return any(m.of.id == name and m.variant.curve is None for m in h.members)
-
-
-def _with_curves(fitter: Fitter, rest: Hypothesis, name: str) -> list[Hypothesis]:
-    """Fit the curves of `FREE` over travel or time, each as probable before the test, beside the members."""
-    curves = [Curve("capacity", over, length) for over, length in FREE[name]]
-    variants = tuple(Parametrisation(curve, curve.effect(), 1.0) for curve in curves)
-    of = replace(fitter.classes[name], variants=variants)
-    tried = screen(fitter.metric, rest.state, candidates(fitter.metric.data, rest.state, (of,)))
-    return fitter.all_fitted(((*rest.members, c), c) for c in tried)
 
 
 def _zero_apart(out: Search, h: Hypothesis) -> Search:

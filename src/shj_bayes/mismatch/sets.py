@@ -17,7 +17,7 @@ class is taken with each other class of the combination at the share that was fo
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -192,7 +192,12 @@ def common_to(
     for name in out.names:
         each = sum((p / total * out.of_devices(key, name) for key, p in likely), np.zeros(len(devices)))
         held = sum(p for key, p in listed if name in key)
-        rivals = _rivals(listed, best, name) if name in best else ()
+        # Classes that stand in its place in combinations that 5 % of doubt do not leave out.
+        others: dict[str, float] = {}
+        for key, p in listed if name in best else ():
+            for other in sorted(key - best) if name not in key and len(key) >= len(best) else ():
+                others[other] = others.get(other, 0.0) + p
+        rivals = tuple(sorted((k for k, p in others.items() if p >= ALPHA), key=lambda k: -others[k]))
         # Nothing less than the best combination explains the devices as well: it holds this class, or a rival.
         sure = name in best and sum(p for key, p in listed if key <= best - {name}) < ALPHA
         action, coordinate = DependenceId.read(name)
@@ -217,16 +222,6 @@ def common_to(
     return tuple(order), tuple(likely)
 
 
-def _rivals(listed: Iterable[tuple[Combination, float]], best: Combination, name: str) -> tuple[str, ...]:
-    """Classes that stand in the place of one in combinations that 5 % of doubt do not leave out."""
-    others: dict[str, float] = {}
-    for key, p in listed:
-        if name not in key and len(key) >= len(best):
-            for other in sorted(key - best):
-                others[other] = others.get(other, 0.0) + p
-    return tuple(sorted((k for k, p in others.items() if p >= ALPHA), key=lambda k: -others[k]))
-
-
 DIGITS = 6  # of probabilities in files
 
 
@@ -242,7 +237,13 @@ def together(
     for set_name, device in devices:
         by_set.setdefault(set_name, []).append(device)
     shared = {name: common_to(own)[0] for name, own in by_set.items()}
-    enter = {place: effects for name, own in by_set.items() for place, effects in _entering(own, shared[name])}
+    enter: dict[str, tuple[str, ...]] = {}
+    for name, own in by_set.items():
+        for place, device in enumerate(own):
+            entering = [one for one in shared[name] if one.enters and place in one.holders]
+            added = tuple(one.effects[place] for one in entering if not one.alone[place] and one.effects[place])
+            if added or (not device.sampled and any(one.alone[place] for one in entering)):
+                enter[device.folder] = (*device.modelled, *added)
     out = [_told(name, own, shared[name]) for name, own in by_set.items()]
     if len(by_set) > 1:
         every = [device for own in by_set.values() for device in own]
@@ -250,23 +251,9 @@ def together(
     return tuple(out), enter
 
 
-def _entering(
-    devices: Sequence[DiagnosedDevice], shared: Sequence[SharedDependence]
-) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Effects of a model, by folder: those that the device's own diagnosis found, and those only the set makes sure."""
-    for place, device in enumerate(devices):
-        entering = [one for one in shared if one.enters and place in one.holders]
-        found = [one for one in entering if one.alone[place]]
-        added = tuple(one.effects[place] for one in entering if not one.alone[place] and one.effects[place])
-        if added or (not device.sampled and found):
-            yield device.folder, (*device.modelled, *added)
-
-
 def _told(name: str, devices: Sequence[DiagnosedDevice], shared: Sequence[SharedDependence]) -> SetTogether:
     """Give what a set has in common as it stands in ``campaign.json``."""
-    units: dict[str, str] = {}
-    for device in devices[::-1]:
-        units |= device.units
+    units = {coordinate: unit for device in devices[::-1] for coordinate, unit in device.units.items()}
     classes = tuple(
         replace(
             one,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 from scipy.interpolate import CubicSpline, PPoly
@@ -193,9 +193,7 @@ class Curve:
             cause="No known mechanism has this curve.",
             shows=f"Alike wherever {self.over.title} is alike.",
             next_test=f"A test in which {self.over.title} changes on its own.",
-            parameters=tuple(
-                Prior(name, "1", "normal", 0.0, 1.0, "Coefficient of a principal component.") for name in self.names
-            ),
+            parameters=tuple(map(coefficient, self.names)),
             neutral=dict.fromkeys(self.names, 0.0),
             act=self.act,
             columns=self.columns,
@@ -211,6 +209,12 @@ class Curve:
             cause="Friction is a coefficient times the clamping force; what changes either changes the force.",
             mechanism=self.coordinate,
         )
+
+
+@cache
+def coefficient(name: str) -> Prior:
+    """Prior of a coefficient."""
+    return Prior(name, "1", "normal", 0.0, 1.0, "Coefficient of a principal component.")
 
 
 def by_side(basis: FloatArray, direction: FloatArray) -> FloatArray:

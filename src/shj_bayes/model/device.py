@@ -292,10 +292,10 @@ class DeviceModel:
 
     def acting(self, theta: FloatArray, run: int) -> Iterator[tuple[Base, list[tuple[Effect, dict[str, float]]]]]:
         """Law of a run and the effects with their values, for each of some parameter sets, shape (m, d)."""
-        laws, first = self.run_laws(theta, run).tolist(), self.names.index("Fy")
-        places = [(e, [(p.name, self.names.index(f"{e.id}.{p.name}")) for p in e.parameters]) for e in self.effects]
+        laws, place = self.run_laws(theta, run).tolist(), {name: i for i, name in enumerate(self.names)}
+        places = [(e, [(p.name, place[f"{e.id}.{p.name}"]) for p in e.parameters]) for e in self.effects]
         for own, (stiffness, capacity, beta, gamma) in zip(theta.tolist(), laws, strict=True):
-            base = Base(stiffness, capacity, beta, gamma, own[first])
+            base = Base(stiffness, capacity, beta, gamma, own[place["Fy"]])
             yield base, [(effect, {name: own[i] for name, i in at}) for effect, at in places]
 
     def force(self, theta: FloatArray, history: History, start_force_kN: float) -> FloatArray:

@@ -176,7 +176,7 @@ class Laws(tuple[Prior, ...]):
         They are at their median then.
         """
         if z.shape[-1] < len(self):
-            z = np.pad(z, (*(((0, 0),) * (z.ndim - 1)), (0, len(self) - z.shape[-1])))
+            z = np.concatenate([z, np.zeros((*z.shape[:-1], len(self) - z.shape[-1]))], axis=-1)
         mean, others = self._normal
         out = mean + self.spread * z
         for i in others:

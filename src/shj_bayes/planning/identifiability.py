@@ -6,6 +6,7 @@ with the priors beside it a statement of what the test determines at all.
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -14,14 +15,14 @@ import numpy as np
 from shj_bayes._util.arrays import FloatArray
 from shj_bayes.errors import InferenceError, PopulationError
 from shj_bayes.inference.binning import Run
-from shj_bayes.inference.likelihood import Likelihood, make_likelihood
-from shj_bayes.inference.start import Start, find_start, root_of
+from shj_bayes.inference.likelihood import make_likelihood
+from shj_bayes.inference.start import find_start, root_of
 from shj_bayes.inference.store import remarks_of
 from shj_bayes.mismatch.data import data_of
 from shj_bayes.mismatch.regions import aliases_of
 from shj_bayes.model.device import DeviceModel, meaning_of
 from shj_bayes.population.readings import counted_from, of_readings, read_off
-from shj_bayes.recording.motion import one_peak_speed
+from shj_bayes.recording.motion import Motion, one_peak_speed
 from shj_bayes.results.diagnosis import Alias
 from shj_bayes.results.fit import RemarkRecord
 
@@ -80,95 +81,72 @@ def first_answer(
 ) -> tuple[Identifiability, tuple[FloatArray, ...]]:
     """Find the most probable parameters of consecutive runs, and what such a test tells of them.
 
-    Then comes the modelled force of each sample of each run, kN; empty where there is no answer.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Consecutive runs of a device.
-    model : DeviceModel
-        What is believed of it.
-    threads : int
-        Processors to use, 0 for all; the numbers do not depend on it.
+    Then comes the modelled force of each sample of each run, kN; empty where there is no answer. `threads` are the
+    processors to use, 0 for all; the numbers do not depend on it.
     """
     n_half = sum(run.motion.n_half for run in runs)
     try:
         posterior, start = find_start(make_likelihood(runs, model), threads=threads)
     except InferenceError:
         return Identifiability(doubts=(Doubt.NO_TOP,), half_cycles=n_half), ()
-    theta = posterior.model.laws.natural(start.free[None])[0]
-    forces = tuple(_force(posterior, theta, i) for i in range(len(runs)))
+    laws, names, last = posterior.model.laws, posterior.model.names, len(runs) - 1
+
+    def forces_of(thetas: FloatArray, i: int) -> FloatArray:
+        """Give the forces of the samples of a run, shape (n_thetas, n_samples), kN."""
+        history, begins = posterior.histories[i], posterior.runs[i].start_force_kN
+        return np.concatenate([np.asarray(posterior.model.force(one[None], history, begins)) for one in thetas])
+
+    theta = laws.natural(start.free[None])
+    forces = tuple(forces_of(theta, i)[0] for i in range(len(runs)))
     left = np.concatenate([(r.recording.force_kN - f)[r.used] for r, f in zip(runs, forces, strict=True)])
     rng = np.random.default_rng(np.random.SeedSequence(1, spawn_key=(11,)))
-    free = start.free + rng.standard_normal((DRAWS, start.free.size)) @ root_of(start.covariance).T
-    natural = posterior.model.laws.natural(free)
-    least = _least(posterior, start, forces[-1])
-    stiffness, capacity = (float(theta[posterior.model.names.index(name)]) for name in ("K", "Fy"))
-    said = Identifiability(
-        doubts=() if least else (Doubt.NEVER_SLIDES,),
-        parameters=_expected(posterior, start, natural),
-        remarks=remarks_of(posterior.model, natural),
-        least_kN=None if least is None else least[0],
-        least_sd_kN=None if least is None else least[1],
-        rmse_kN=float(np.sqrt(np.mean(left**2))),
-        half_cycles=n_half,
-        readings_of_knee=float(np.median(np.concatenate([_in_knee(r, 2.0 * capacity / stiffness) for r in runs]))),
-        one_speed_mm_s=one_peak_speed(np.concatenate([run.motion.peak_mm_s[1:-1] for run in runs])),
-        confusions=tuple(aliases_of(data_of(runs, model))),
-    )
-    return said, forces
-
-
-def _expected(posterior: Likelihood, start: Start, natural: FloatArray) -> tuple[ExpectedParameter, ...]:
-    """Rows of the parameters from draws in natural units, shape (n, d)."""
-    laws = posterior.model.laws
-    widths = np.sqrt(np.diag(start.covariance))  # priors are standard normal there
+    natural = laws.natural(start.free + rng.standard_normal((DRAWS, start.free.size)) @ root_of(start.covariance).T)
+    widths = np.minimum(np.sqrt(np.diag(start.covariance)), 1.0)  # priors are standard normal there
     low, high = np.quantile(natural, [0.05, 0.95], axis=0)
-    return tuple(
+    parameters = tuple(
         ExpectedParameter(
-            name=parameter.name,
-            unit=parameter.unit,
+            name=name,
+            unit=meaning_of(name).unit,
             mean=float(natural[:, i].mean()),
             sd=float(natural[:, i].std()),
             q05=float(low[i]),
             q95=float(high[i]),
             prior_q05=float(law.quantile(0.05)),
             prior_q95=float(law.quantile(0.95)),
-            narrowed=float(min(widths[i], 1.0)),
+            narrowed=float(widths[i]),
         )
-        for i, (parameter, law) in enumerate(zip(map(meaning_of, posterior.model.names), laws, strict=True))
+        for i, (name, law) in enumerate(zip(names, laws, strict=True))
     )
-
-
-def _force(posterior: Likelihood, theta: FloatArray, i: int) -> FloatArray:
-    """Modelled force of the samples of a run, shape (n_samples,), kN."""
-    return np.asarray(posterior.model.force(theta[None], posterior.histories[i], posterior.runs[i].start_force_kN)[0])
-
-
-def _least(posterior: Likelihood, start: Start, force_kN: FloatArray) -> tuple[float, float] | None:
-    """Smallest plateau force of the last run and its standard deviation, kN; None where no half-cycle slides fully."""
-    i = len(posterior.runs) - 1
-    motion, travel = posterior.runs[i].motion, posterior.histories[i].travel_m
-    middle = read_off(force_kN[None], motion, travel)
-    from_mm = counted_from([middle])
-    if not math.isfinite(from_mm):
-        return None
+    # Smallest plateau force of the last run: its value, and its slope over the parameters of the law.
     steps = STEP * np.eye(start.free.size)[: posterior.model.n_law]
-    theta = posterior.model.laws.natural(np.concatenate([start.free + steps, start.free - steps]))
-    history, begins = posterior.histories[i], posterior.runs[i].start_force_kN
-    force = np.concatenate([np.asarray(posterior.model.force(one[None], history, begins)) for one in theta])
-    try:
-        here = float(of_readings(middle, from_mm)["least"][0])
-        up, down = np.split(of_readings(read_off(force, motion, travel), from_mm)["least"], 2)
-    except PopulationError:
-        return None
-    slope = (up - down) / (2.0 * STEP)
-    return here, math.sqrt(float(slope @ start.covariance[: slope.size, : slope.size] @ slope))
+    around = laws.natural(np.concatenate([start.free[None], start.free + steps, start.free - steps]))
+    motion, travel = posterior.runs[last].motion, posterior.histories[last].travel_m
+    from_mm, least = counted_from([read_off(forces[last][None], motion, travel)]), None
+    if math.isfinite(from_mm):
+        with suppress(PopulationError):
+            plateaus = of_readings(read_off(forces_of(around, last), motion, travel), from_mm)["least"]
+            up, down = np.split(plateaus[1:], 2)
+            slope = (up - down) / (2.0 * STEP)
+            variance = float(slope @ start.covariance[: slope.size, : slope.size] @ slope)
+            least = float(plateaus[0]), math.sqrt(variance)
+    reach = 2.0 * float(theta[0, names.index("Fy")] / theta[0, names.index("K")])  # mm, from plateau to plateau
+    said = Identifiability(
+        doubts=() if least else (Doubt.NEVER_SLIDES,),
+        parameters=parameters,
+        remarks=remarks_of(posterior.model, natural),
+        least_kN=least[0] if least else None,
+        least_sd_kN=least[1] if least else None,
+        rmse_kN=float(np.sqrt(np.mean(left**2))),
+        half_cycles=n_half,
+        readings_of_knee=float(np.median(np.concatenate([_in_knee(run.motion, reach) for run in runs]))),
+        one_speed_mm_s=one_peak_speed(np.concatenate([run.motion.peak_mm_s[1:-1] for run in runs])),
+        confusions=tuple(aliases_of(data_of(runs, model))),
+    )
+    return said, forces
 
 
-def _in_knee(run: Run, reach_mm: float) -> FloatArray:
+def _in_knee(motion: Motion, reach_mm: float) -> FloatArray:
     """Count the readings of each half-cycle within a distance of its beginning."""
-    motion = run.motion
     begins = np.repeat(motion.turning_mm[: motion.n_half], np.diff(motion.start))
     near = np.abs(motion.displacement_mm - begins) <= reach_mm
     return np.add.reduceat(near.astype(np.float64), motion.start[:-1])

@@ -6,7 +6,7 @@ and a posterior without sampling (expected information of a design: Lindley 1956
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import permutations
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ from shj_bayes.model.device import DeviceModel, meaning_of
 from shj_bayes.model.history import histories
 from shj_bayes.model.parameters import run_name
 from shj_bayes.planning.protocol import Protocol
-from shj_bayes.planning.rivals import PLANNED, PretestPosterior, RivalModel, entropy_of
+from shj_bayes.planning.rivals import PLANNED, PretestPosterior, entropy_of
 from shj_bayes.population.readings import Readings, counted_from, of_readings, read_off
 from shj_bayes.recording.motion import motion_of
 from shj_bayes.recording.recording import Recording
@@ -78,15 +78,17 @@ def expected_information(
     quantity: LinearQuantity | None = None,
     n: int = OUTCOMES,
 ) -> ExpectedInformation:
-    """Weigh the outcomes that a protocol may have, `n` drawn from each rival; candidates share the seed.
-
-    With a `quantity`, what it is expected to be known to as well.
-    """
+    """Weigh the outcomes that a protocol may have, `n` drawn from each rival; candidates share the seed."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
     rivals = known.rivals
     data, misread = as_read(known, protocol, rate_Hz, rng)
     linear, wrong, force_kN = _linearised(known, data, misread)
-    outcomes = [_outcomes(rival, *line, n, rng) for rival, line in zip(rivals, linear, strict=True)]
+    outcomes = []  # drawn from each rival in units of the noise, shape (n_evidence, n)
+    for rival, (mean, design) in zip(rivals, linear, strict=True):
+        standard = rng.standard_normal((rival.mean.size, n))
+        u = solve_triangular(rival.gaussian.root, standard, lower=True, trans="T", check_finite=False)
+        u[: rival.z.size][~rival.drawn] = 0.0
+        outcomes.append(mean[:, None] + design @ u + rng.standard_normal((mean.size, n)))
     drawn = np.concatenate(outcomes, axis=1) + wrong
     logs, values, variances = [], [], []
     for i, (rival, (mean, design)) in enumerate(zip(rivals, linear, strict=True)):
@@ -152,10 +154,7 @@ def _separation(known: PretestPosterior, logs: FloatArray) -> float:
 def _linearised(
     known: PretestPosterior, data: BinnedData, misread: FloatArray
 ) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray, float]:
-    """Linearise a planned run: mean and design of each rival, what all get wrong, and the largest force, kN.
-
-    In units of the noise, in coordinates of the space that they span.
-    """
+    """Linearise a planned run: mean and design of each rival and what all get wrong, in units of noise; largest kN."""
     first = known.rivals[0]
     metric = ErrorModel(data, known.setting, data.likelihood.at(first.model).residual_and_slope(first.z[None])[1][0])
     columns, forces = [metric.whitened(misread[:, None]), metric.other], []
@@ -166,7 +165,11 @@ def _linearised(
         told, own = jacobian * rival.drawn, rival.gaussian.covariance[: rival.z.size, : rival.z.size]
         forces.append(float(np.max(np.abs(force) + SURE * np.sqrt(np.einsum("ij,jk,ik->i", told, own, told)))))
         columns.append(metric.whitened(np.column_stack([force - jacobian @ rival.z, jacobian])))
-    wrong, other, *own_columns = _reduced(columns)
+    # In coordinates of the space that they span: their products, all that outcomes depend on, are the same.
+    whole = np.concatenate(columns, axis=1)
+    values, vectors = np.linalg.eigh(whole.T @ whole)
+    reduced = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    wrong, other, *own_columns = np.split(reduced, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
     linear = []
     for rival, white in zip(known.rivals, own_columns, strict=True):
         of_old_runs = np.zeros((white.shape[0], rival.mean.size - rival.z.size - other.shape[1]))
@@ -185,7 +188,9 @@ def as_read(
     the motion that was run less that along the motion that is found.
     """
     time, motion = protocol.sampled(rate_Hz)
-    found = motion_of(Recording(time, known.wobbling(motion.displacement_mm, rng), np.zeros(time.size), source=PLANNED))
+    noise = max((run.motion.noise_mm for run in known.runs), default=0.0)  # of the displacements of the old tests
+    measured = motion.displacement_mm + noise * rng.standard_normal(time.size)
+    found = motion_of(Recording(time, measured, np.zeros(time.size), source=PLANNED))
     run, read = (known.base_force(histories([time], [m])[0]) for m in (motion, found))
     data = known.data(time, found, run)
     return data, data.blocks.mean([run - read])
@@ -205,22 +210,6 @@ def quantity_of(
     return LinearQuantity(unit, np.array(values), tuple(slopes), value)
 
 
-def _reduced(columns: Sequence[FloatArray]) -> list[FloatArray]:
-    """Columns in coordinates of the space that they span: their products, all that outcomes depend on, are the same."""
-    whole = np.concatenate(columns, axis=1)
-    values, vectors = np.linalg.eigh(whole.T @ whole)
-    reduced = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    return np.split(reduced, np.cumsum([c.shape[1] for c in columns])[:-1], axis=1)
-
-
-def _outcomes(rival: RivalModel, mean: FloatArray, design: FloatArray, n: int, rng: np.random.Generator) -> FloatArray:
-    """Draw outcomes of a rival in units of the noise, shape (n_evidence, n)."""
-    standard = rng.standard_normal((rival.mean.size, n))
-    u = solve_triangular(rival.gaussian.root, standard, lower=True, trans="T", check_finite=False)
-    u[: rival.z.size][~rival.drawn] = 0.0
-    return np.asarray(mean[:, None] + design @ u + rng.standard_normal((mean.size, n)))
-
-
 def quantity_named(known: PretestPosterior, name: str) -> LinearQuantity:
     """Quantity of a name, for one device; `PlanError` where it has none of that name."""
     planned = run_name("ratio", known.device.n_runs)
@@ -229,13 +218,8 @@ def quantity_named(known: PretestPosterior, name: str) -> LinearQuantity:
     if name not in own:
         able = (WHICH, FORCE, *own)
         raise PlanError(f"{known.name}: '{name}' is no question; known are {', '.join(able)}{did_you_mean(name, able)}")
-    if name == MARGIN:
-        return quantity_of(known, "kN", _smallest_plateau(known))
-    return quantity_of(known, meaning_of(name).unit, lambda model, z: model.law_values(z)[name])
-
-
-def _smallest_plateau(known: PretestPosterior) -> Callable[[DeviceModel, FloatArray], float]:
-    """Smallest plateau force of a device in its last test, as a model gives it."""
+    if name != MARGIN:
+        return quantity_of(known, meaning_of(name).unit, lambda model, z: model.law_values(z)[name])
     history, first = known.old[-1].history, known.rivals[0]
 
     def read(model: DeviceModel, z: FloatArray) -> Readings:
@@ -245,4 +229,4 @@ def _smallest_plateau(known: PretestPosterior) -> Callable[[DeviceModel, FloatAr
     least = counted_from([read(first.model, first.z)])
     if not np.isfinite(least):
         raise PlanError(f"{known.name}: no half-cycle of its last test slides fully, so it has no plateau force")
-    return lambda model, z: float(of_readings(read(model, z), least)["least"][0])
+    return quantity_of(known, "kN", lambda model, z: float(of_readings(read(model, z), least)["least"][0]))

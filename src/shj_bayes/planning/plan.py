@@ -5,20 +5,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from shj_bayes._util.arrays import one_blas_thread
 from shj_bayes._util.files import write_text
-from shj_bayes.errors import PlanError, ShjError
+from shj_bayes.errors import PlanError
 from shj_bayes.inference.store import versions
 from shj_bayes.mismatch.hypothesis import ALPHA, MIN_EFFECT
 from shj_bayes.planning.information import OUTCOMES, WHICH, LinearQuantity, expected_information
 from shj_bayes.planning.protocol import LEEWAY, Protocol, ProtocolBlock, Rig
 from shj_bayes.planning.rivals import Further, PretestPosterior, mechanisms_of
-from shj_bayes.results.codec import IF_KNOWN
+from shj_bayes.results.codec import IF_KNOWN, Stored
 from shj_bayes.results.diagnosis import DependenceId
 from shj_bayes.results.store import write
 
@@ -115,13 +115,8 @@ class RankedProtocol:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanRecord:
+class PlanRecord(Stored, file="plan.json", command="shj-bayes plan", error=PlanError):
     """Content of ``plan.json``."""
-
-    FILE: ClassVar[str] = "plan.json"
-    ERROR: ClassVar[type[ShjError]] = PlanError
-    MISSING: ClassVar[str] = "holds no plan.json; run shj-bayes plan first"
-    AGAIN: ClassVar[str] = "run shj-bayes plan again"
 
     schema: Literal["shj-bayes/plan/1"] = SCHEMA
     question: Annotated[str, {"description": "which, force, or a quantity"}]
@@ -163,28 +158,34 @@ def make_plan(
     `question` is which set of classes is there, or the name of the quantity that should become narrow (`quantities`,
     one a device). `tell` gets one line for each step.
     """
-    asked: Sequence[LinearQuantity | None] = quantities or (None,) * len(known)
 
-    def weighed(protocol: Protocol, seed: int, n: int = OUTCOMES) -> tuple[Protocol, RankedProtocol]:
-        return protocol, _weighed(known, asked, rig, protocol, seed, n)
+    def ranked(
+        protocols: Sequence[Protocol], seed: int, n: int
+    ) -> tuple[dict[Protocol, RankedProtocol], list[Protocol]]:
+        """Weigh protocols; those that the rig allows, best first."""
+        rows = {p: _weighed(known, quantities, rig, p, seed, n) for p in protocols}
+        allowed = [p for p in protocols if not rows[p].limits_broken]
+        return rows, sorted(allowed, key=lambda p: rows[p].order, reverse=True)
 
-    everything = [*proposed, *given]
+    everything, compared = [*proposed, *given], [proposed[0], *given]
     tell(f"weighing {len(everything)} protocols")
-    rows = [weighed(p, seed) for p in everything]
+    finalists = [p for p in ranked(everything, seed, OUTCOMES)[1][:FINAL] if p not in compared]
     tell("weighing the best again, with fresh outcomes")
-    compared = [proposed[0], *given]
-    finalists = [p for p, _ in ranked(rows)[:FINAL] if p not in compared]
-    again = [weighed(p, seed + 1, 3 * OUTCOMES) for p in (*finalists, *compared)]
-    best = [p for p, _ in ranked(again)[:SHOWN]]
-    found = dict(again)
-    worth = _worth(known, [found[p] for p in best], question)
+    found, best = ranked([*finalists, *compared], seed + 1, 3 * OUTCOMES)
+    shown = tuple(replace(found[p], file=f"next-{i}.csv") for i, p in enumerate(best[:SHOWN], start=1))
+    left, decided = 1.0, False
+    if question == WHICH:
+        left = float(np.mean([k.entropy for k in known]))
+        decided = all(max(k.probabilities.values()) >= 1.0 - ALPHA for k in known)
+    worth = WorthOfTest.YES if shown and shown[0].gain_nats >= LITTLE * left else WorthOfTest.LITTLE
+    mean, sd = quantities[0].now(known[0]) if quantities else (None, None)
     now = Now(
         entropy_nats=float(np.mean([k.entropy for k in known])),
         largest_probability=max(known[0].probabilities.values()),
+        mean=mean,
+        sd=sd,
+        unit=quantities[0].unit if quantities else None,
     )
-    if quantities:
-        mean, sd = quantities[0].now(known[0])
-        now = replace(now, mean=mean, sd=sd, unit=quantities[0].unit)
     record = PlanRecord(
         question=question,
         rig=rig,
@@ -192,47 +193,37 @@ def make_plan(
         versions=versions(),
         devices=tuple(map(_device, known)),
         now=now,
-        worth=worth,
-        candidates=tuple(replace(found[p], file=f"next-{i}.csv") for i, p in enumerate(best, start=1)),
+        worth=WorthOfTest.DECIDED if decided else worth,
+        candidates=shown,
         compared=tuple(found[p] for p in compared),
     )
-    return Plan(record, tuple(known), rig, tuple(best))
-
-
-def ranked(rows: Sequence[tuple[Protocol, RankedProtocol]]) -> list[tuple[Protocol, RankedProtocol]]:
-    """Protocols that the rig allows, best first."""
-    return sorted((r for r in rows if not r[1].limits_broken), key=lambda r: r[1].order, reverse=True)
+    return Plan(record, tuple(known), rig, tuple(best[:SHOWN]))
 
 
 def _weighed(
     known: Sequence[PretestPosterior],
-    asked: Sequence[LinearQuantity | None],
+    quantities: Sequence[LinearQuantity],
     rig: Rig,
     protocol: Protocol,
     seed: int,
     n: int,
 ) -> RankedProtocol:
     """Say what a protocol is expected to give, from `n` outcomes of each rival of each device."""
+    asked: Sequence[LinearQuantity | None] = quantities or (None,) * len(known)
     told = [expected_information(k, protocol, rig.rate_Hz, seed, q, n) for k, q in zip(known, asked, strict=True)]
-    gain = float(
-        np.mean(
-            [
-                k.entropy - one.entropy if q is None or one.sd is None else math.log(q.now(k)[1] / one.sd)
-                for k, one, q in zip(known, told, asked, strict=True)
-            ]
-        )
-    )
+    gains = [
+        k.entropy - one.entropy if q is None or one.sd is None else math.log(q.now(k)[1] / one.sd)
+        for k, one, q in zip(known, told, asked, strict=True)
+    ]
+    gain, minutes = float(np.mean(gains)), protocol.duration_s / 60.0
     force, broken = max(one.force_kN for one in told), rig.broken_by(protocol)
     if force > rig.max_force_kN:
         broken = (*broken, f"force up to {force:.4g} kN, allowed {rig.max_force_kN:.4g}")
-    minutes, sds = protocol.duration_s / 60.0, [one.sd for one in told if one.sd is not None]
+    sds = [one.sd for one in told if one.sd is not None]
+    as_it_is = ("name", "blocks", "times", "largest_mm", "fastest_mm_s", "travel_m")
     return RankedProtocol(
-        name=protocol.name,
-        blocks=protocol.blocks,
+        **{name: getattr(protocol, name) for name in as_it_is},
         minutes=minutes,
-        largest_mm=protocol.largest_mm,
-        fastest_mm_s=protocol.fastest_mm_s,
-        travel_m=protocol.travel_m,
         file=None,
         gain_nats=gain,
         gain_per_minute=gain / minutes,
@@ -243,21 +234,28 @@ def _weighed(
         misread=max(one.misread_kN / k.sliding_kN for one, k in zip(told, known, strict=True)),
         force_kN=force,
         limits_broken=broken,
-        times=protocol.times,
     )
 
 
-def _worth(known: Sequence[PretestPosterior], best: Sequence[RankedProtocol], question: str) -> WorthOfTest:
-    left = 1.0
-    if question == WHICH:
-        if all(max(k.probabilities.values()) >= 1.0 - ALPHA for k in known):
-            return WorthOfTest.DECIDED
-        left = float(np.mean([k.entropy for k in known]))
-    return WorthOfTest.YES if best and best[0].gain_nats >= LITTLE * left else WorthOfTest.LITTLE
+def _device(known: PretestPosterior) -> PlannedDevice:
+    """Say what a device may be, and which of its further channels are taken to stay as they were."""
+    measured = known.old[-1].history.measured if known.old else {}
+    acting = frozenset[str]().union(*known.keys)
+    held = tuple(
+        HeldChannel(coordinate=name, unit=one.unit, value=one.reference)
+        for name, one in measured.items()
+        if str(DependenceId("capacity", name)) in acting
+    )
+    sets = tuple(
+        PossibleSet(classes=tuple(sorted(key)), mechanisms=mechanisms_of(key), probability=p)
+        for key, p in known.probabilities.items()
+    )
+    return PlannedDevice(name=known.name, n_runs=len(known.runs), sets=sets, channels=held)
 
 
 def force_record(further: Further, names: tuple[str, ...], seed: int) -> PlanRecord:
     """Say how many further devices are needed, where they are asked for, not a protocol."""
+    worth = {None: WorthOfTest.LITTLE, 0: WorthOfTest.DECIDED}
     return PlanRecord(
         question="force",
         rig=None,
@@ -265,11 +263,7 @@ def force_record(further: Further, names: tuple[str, ...], seed: int) -> PlanRec
         versions=versions(),
         devices=tuple(PlannedDevice(name=name, n_runs=None, sets=()) for name in names),
         now=Now(force_kN=further.force_kN, half_width=further.half_width_now),
-        worth=WorthOfTest.YES
-        if further.n_further
-        else WorthOfTest.DECIDED
-        if further.n_further == 0
-        else WorthOfTest.LITTLE,
+        worth=worth.get(further.n_further, WorthOfTest.YES),
         candidates=(),
         compared=(),
         further_devices=further,
@@ -280,9 +274,9 @@ def write_plan(folder: Path, record: PlanRecord, plan: Plan | None) -> None:
     """Write the histories, then ``plan.json``, into a folder that exists."""
     for old in folder.glob("next-?.csv"):
         old.unlink()
-    if plan is not None:
-        for i, protocol in enumerate(plan.best, start=1):
-            write_text(folder / f"next-{i}.csv", history_csv(protocol, plan.rig, plan.known[0].middle_mm))
+    for i, protocol in enumerate(plan.best if plan else (), start=1):
+        assert plan is not None
+        write_text(folder / f"next-{i}.csv", history_csv(protocol, plan.rig, plan.known[0].middle_mm))
     write(record, folder)
 
 
@@ -298,18 +292,3 @@ def history_csv(protocol: Protocol, rig: Rig, middle_mm: float = 0.0) -> str:
         )
     table = pd.DataFrame({"time_s": np.round(time, 6), "displacement_mm": np.round(x + middle_mm, DIGITS)})
     return str(table.to_csv(index=False, lineterminator="\n"))
-
-
-def _device(known: PretestPosterior) -> PlannedDevice:
-    p = known.probabilities
-    measured = known.old[-1].history.measured if known.old else {}
-    held = tuple(
-        HeldChannel(coordinate=name, unit=one.unit, value=one.reference)
-        for name, one in measured.items()
-        if any(str(DependenceId("capacity", name)) in key for key in known.keys)
-    )
-    sets = tuple(
-        PossibleSet(classes=tuple(sorted(key)), mechanisms=tuple(mechanisms_of(key)), probability=p[key])
-        for key in known.keys
-    )
-    return PlannedDevice(name=known.name, n_runs=len(known.runs), sets=sets, channels=held)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -66,11 +65,6 @@ class ProtocolBlock:
         """Distance moved, m."""
         return 4e-3 * self.amplitude_mm * self.cycles
 
-    def turns_s(self) -> FloatArray:
-        """Give the times from the block's beginning at which it turns, shape (2 cycles,)."""
-        phase = math.pi * (0.5 + np.arange(2 * self.cycles))
-        return np.asarray((phase + EASE / 2.0) / self.omega + self.rest_s)
-
     def course(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Displacement (mm) and velocity (mm/s) at times from the block's beginning."""
         ease, moving = EASE / self.omega, self.duration_s - self.rest_s
@@ -98,29 +92,24 @@ class Protocol:
     times: int = 1  # how often it comes
     samples: tuple[FloatArray, Motion] | None = None  # times (s) from 0, and motion about the middle of the stroke
 
-    @cached_property
-    def duration_s(self) -> float:
-        """Duration, s."""
-        return float(self.samples[0][-1]) if self.samples else self.times * sum(b.duration_s for b in self.blocks)
+    duration_s: float = field(init=False)
+    largest_mm: float = field(init=False)  # displacement to either side of the middle
+    fastest_mm_s: float = field(init=False)
+    travel_m: float = field(init=False)  # distance moved
 
-    @cached_property
-    def largest_mm(self) -> float:
-        """Largest displacement to either side of the middle, mm."""
+    def __post_init__(self) -> None:
+        """Sum up what it does."""
         if self.samples:
-            return float(np.abs(self.samples[1].displacement_mm).max())
-        return max(block.amplitude_mm for block in self.blocks)
-
-    @cached_property
-    def fastest_mm_s(self) -> float:
-        """Largest speed, mm/s."""
-        return float(self.samples[1].speed_mm_s.max()) if self.samples else max(b.speed_mm_s for b in self.blocks)
-
-    @cached_property
-    def travel_m(self) -> float:
-        """Distance moved, m."""
-        if self.samples:
-            return float(self.samples[1].travel_mm[-1]) / 1000.0
-        return self.times * sum(b.travel_m for b in self.blocks)
+            time, motion = self.samples
+            largest, fastest = np.abs(motion.displacement_mm).max(), motion.speed_mm_s.max()
+            said = {"duration_s": time[-1], "travel_m": motion.travel_mm[-1] / 1000.0}
+        else:
+            largest, fastest = (max(getattr(b, name) for b in self.blocks) for name in ("amplitude_mm", "speed_mm_s"))
+            said = {
+                name: self.times * sum(getattr(b, name) for b in self.blocks) for name in ("duration_s", "travel_m")
+            }
+        for name, value in (said | {"largest_mm": largest, "fastest_mm_s": fastest}).items():
+            object.__setattr__(self, name, float(value))
 
     def sampled(self, rate_Hz: float) -> tuple[FloatArray, Motion]:
         """Give times (s) and exact motion at a sampling rate.
@@ -136,14 +125,20 @@ class Protocol:
             )
         time = np.arange(n) / rate_Hz
         if self.samples is not None:
-            return time, _resampled(*self.samples, time)
+            at, motion = self.samples
+            start = np.concatenate([[0], np.searchsorted(time, at[motion.start[1:-1]]), [n]])
+            if np.any(np.diff(start) <= 0):
+                raise PlanError("a half-cycle of the file is shorter than the sampling interval; raise --rate")
+            x, v = (np.interp(time, at, values) for values in (motion.displacement_mm, motion.speed_mm_s))
+            return time, Motion(x, v, start, motion.turning_mm, motion.direction)
         blocks = self.blocks * self.times
         begin = np.concatenate([[0.0], np.cumsum([block.duration_s for block in blocks])])
         x, v, turns, turning = np.empty(n), np.empty(n), [], []
         edges = np.searchsorted(time, begin[:-1])
         for block, t0, a, b in zip(blocks, begin, edges, [*edges[1:], n], strict=False):
             x[a:b], v[a:b] = block.course(time[a:b] - t0)
-            turns.append(t0 + block.turns_s())
+            phase = math.pi * (0.5 + np.arange(2 * block.cycles)) + EASE / 2.0
+            turns.append(t0 + phase / block.omega + block.rest_s)
             turning.append(block.amplitude_mm * (-1.0) ** np.arange(2 * block.cycles))
         start = np.concatenate([[0], np.searchsorted(time, np.concatenate(turns)), [n]])
         direction = alternating(start.size - 1)
@@ -153,23 +148,12 @@ class Protocol:
 def table_1_protocol(stroke_mm: float = math.inf, speed_mm_s: float = math.inf) -> Protocol:
     """Table 1 of the paper with smooth starts, its amplitudes and speeds brought down to what a rig allows."""
     share = min(1.0, stroke_mm / max(b.amplitude_mm for b in table_1()))
-    blocks = (
-        ProtocolBlock(
-            share * b.amplitude_mm, min(2.0 * math.pi * b.frequency_Hz * share * b.amplitude_mm, speed_mm_s), b.n_cycles
-        )
-        for b in table_1()
-    )
+    blocks = []
+    for b in table_1():
+        amplitude = share * b.amplitude_mm
+        speed = min(2.0 * math.pi * b.frequency_Hz * amplitude, speed_mm_s)
+        blocks.append(ProtocolBlock(amplitude, speed, b.n_cycles))
     return Protocol("Table 1", tuple(blocks))
-
-
-def _resampled(at: FloatArray, motion: Motion, time: FloatArray) -> Motion:
-    """Motion of a file at other times; half-cycles keep their turning points."""
-    turns = at[motion.start[1:-1]]
-    start = np.concatenate([[0], np.searchsorted(time, turns), [time.size]])
-    if np.any(np.diff(start) <= 0):
-        raise PlanError("a half-cycle of the file is shorter than the sampling interval; raise --rate")
-    x, speed = (np.interp(time, at, v) for v in (motion.displacement_mm, motion.speed_mm_s))
-    return Motion(x, speed, start, motion.turning_mm, motion.direction)
 
 
 SCHEMA = "shj-bayes/rig/1"
@@ -182,6 +166,7 @@ BOUNDS = {  # of the limits of any rig: from a small specimen to the largest sha
     "max_minutes": (1e-3, 1e4),
     "rate_Hz": (1e-3, 1e6),
 }
+LIMITS = tuple(BOUNDS)
 
 
 @dataclass(frozen=True)
@@ -196,8 +181,7 @@ class Rig:
 
     def __post_init__(self) -> None:
         """Refuse limits that no rig has."""
-        for name, value in asdict(self).items():
-            _refuse_beyond(name, value)
+        _refuse_beyond(asdict(self), "rig")
 
     def broken_by(self, protocol: Protocol) -> tuple[str, ...]:
         """Limits that a protocol does not keep, in words; its force is judged by whoever predicts it."""
@@ -213,38 +197,22 @@ class Rig:
         )
 
 
-LIMITS = tuple(BOUNDS)
-
-
-def stated_limits(path: Path | None, given: Mapping[str, float | None]) -> dict[str, float]:
-    """Limits of a ``rig.toml``, where there is one, with those given over them; `PlanError` with the one at fault."""
-    for name in given:
-        if name not in LIMITS:
-            raise PlanError(f"'{name}' is no limit; known are {', '.join(LIMITS)}{did_you_mean(name, LIMITS)}")
-    stated = {} if path is None else read_rig(path)
-    return stated | {name: value for name, value in given.items() if value is not None}
-
-
 def read_rig(path: Path) -> dict[str, float]:
     """Limits of a ``rig.toml``, as far as it states them; `PlanError` with the key at fault."""
-    table: dict[str, Any] = read_toml(path, SCHEMA, MAX_TOML, PlanError)[0]
-    out = {}
-    for key in (key for key in table if key not in ("schema", "name")):
-        if key not in LIMITS:
-            raise PlanError(
-                f"{path.name}: '{shown(key)}' is not a limit; known are {', '.join(LIMITS)}{did_you_mean(key, LIMITS)}"
-            )
-        if isinstance(table[key], bool) or not isinstance(table[key], int | float):
-            raise PlanError(f"{path.name}: {key} = {shown(table[key])}; a number is needed")
-        _refuse_beyond(key, table[key])
-        out[key] = float(table[key])
-    return out
+    table = read_toml(path, SCHEMA, MAX_TOML, PlanError)[0]
+    stated = {key: value for key, value in table.items() if key not in ("schema", "name")}
+    _refuse_beyond(stated, path.name)
+    return {key: float(value) for key, value in stated.items()}
 
 
-def _refuse_beyond(name: str, value: float) -> None:
-    least, most = BOUNDS[name]
-    if not least <= value <= most:
-        raise PlanError(f"rig: {name} = {shown(value)}; allowed is a number from {least:g} to {most:g}; state another")
+def _refuse_beyond(limits: Mapping[str, Any], where: str) -> None:
+    for name, value in limits.items():
+        if name not in BOUNDS:
+            near = did_you_mean(name, LIMITS)
+            raise PlanError(f"{where}: '{shown(name)}' is no limit; known are {', '.join(LIMITS)}{near}")
+        (least, most), number = BOUNDS[name], isinstance(value, int | float) and not isinstance(value, bool)
+        if not (number and least <= value <= most):
+            raise PlanError(f"{where}: {name} = {shown(value)}; allowed is a number from {least:g} to {most:g}")
 
 
 MOST_TIMES = 200  # that a pattern comes, however long the rig may run

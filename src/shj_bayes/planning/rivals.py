@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import chdtri, logsumexp, nctdtrit, ndtri
 
 from shj_bayes._util.arrays import BoolArray, FloatArray, one_blas_thread
@@ -38,6 +39,7 @@ from shj_bayes.mismatch.hypothesis import (
     MIN_EFFECT,
     PRIOR_INCLUSION,
     TYPICAL,
+    Candidate,
     Hypothesis,
     candidates,
     classes,
@@ -88,34 +90,23 @@ def read_device(folder: Path, diagnosis: DiagnosisRecord | None) -> DeviceUnderT
             )
             runs.append(Run(recording, motion))
         logs, model = np.log(fit.draws["Fy"]), fit.model
-    said = diagnosis.model if diagnosis else None
-    effects = model.effects if diagnosis is None else effects_named(said.given if said else ())
-    without = said.without if said else ()
-    speed = model.speed and "velocity" not in without
-    device = replace(model, effects=effects, speed=speed)
+    without: tuple[str, ...] = ()
     sets: tuple[tuple[Key, float], ...] = ((frozenset(), 1.0),)
     if diagnosis is not None:
+        given, without = (said.given, said.without) if (said := diagnosis.model) else ((), ())
+        model = replace(model, effects=effects_named(given), speed=model.speed and "velocity" not in without)
         sets = tuple((frozenset(row.classes), row.probability) for row in diagnosis.sets)
         sets = tuple(pair for pair in sets if pair[1] > ODDS_IN_FILES)
         if not sets:
             raise PlanError(f"diagnosis.json in {folder.name} states no probabilities; run shj-bayes diagnose again")
     Fy = float(np.exp(logs.mean())), float(logs.std(ddof=1))
-    return DeviceUnderTest(fit.record.device, tuple(runs), device, sets, DiagnoseOptions(without).hidden(device), Fy=Fy)
+    return DeviceUnderTest(fit.record.device, tuple(runs), model, sets, DiagnoseOptions(without).hidden(model), Fy=Fy)
 
 
 FRACTILE = 0.05
 WITHIN = 0.05  # of the force: half of the 90 % interval
 ASSURANCE = 0.8
 MOST = 500
-
-
-@dataclass(frozen=True)
-class FurtherRow:
-    """Further devices, and half the width of what is then known: expected, and kept with `ASSURANCE`."""
-
-    n_further: int
-    half_width_expected: float
-    half_width_assured: float
 
 
 @dataclass(frozen=True)
@@ -127,7 +118,8 @@ class Further:
     spread: float  # standard deviation of the logarithm of the force between devices
     half_width_now: float  # half of the 90 % interval of that force now, as a share of it
     n_further: int | None  # further devices; None where more than `MOST` would be needed
-    table: tuple[FurtherRow, ...]
+    # by number of further devices, half the width of what is then known: expected, and kept with `ASSURANCE`
+    table: tuple[Mapping[str, float], ...]
 
 
 def further_devices(forces_kN: Sequence[float], errors: Sequence[float]) -> Further:
@@ -145,26 +137,25 @@ def further_devices(forces_kN: Sequence[float], errors: Sequence[float]) -> Furt
         )
     logs = np.log(np.asarray(forces_kN, dtype=np.float64))
     spread = max(float(logs.std(ddof=1)), float(np.sqrt(np.mean(np.square(errors)))), 1e-4)
-    likely = [spread * math.sqrt((n - 1) / float(chdtri(n - 1, q))) for q in (0.5, ASSURANCE)]
-    rows, needed = [], None
-    for more in range(MOST + 1):
-        unit = half_width(n + more)
-        if needed is None and more and unit * likely[1] <= WITHIN:
-            needed = more
-        if more in (1, 2, 3, 5, 8, 12, 20, 35, 60, 100) or more == needed:
-            rows.append(FurtherRow(more, unit * likely[0], unit * likely[1]))
-        if needed is not None and more > 2 * needed:
-            break
-    force = math.exp(float(logs.mean()) + float(ndtri(FRACTILE)) * spread)
-    now = half_width(n) * spread
+    widths = half_width(n + np.arange(MOST + 1)) * spread
+    expected, assured = (widths * math.sqrt((n - 1) / float(chdtri(n - 1, q))) for q in (0.5, ASSURANCE))
+    enough = 1 + np.flatnonzero(assured[1:] <= WITHIN)
+    needed = int(enough[0]) if enough.size else None
+    told = sorted({1, 2, 3, 5, 8, 12, 20, 35, 60, 100} | ({needed} if needed else set()))
+    rows = (
+        {"n_further": k, "half_width_expected": float(expected[k]), "half_width_assured": float(assured[k])}
+        for k in told
+        if k <= 2 * (needed or MOST) + 1
+    )
+    force, now = math.exp(float(logs.mean()) + float(ndtri(FRACTILE)) * spread), float(widths[0])
     return Further(n, force, spread, now, 0 if now <= WITHIN and n > 2 else needed, tuple(rows))
 
 
-def half_width(n: int) -> float:
+def half_width(n: ArrayLike) -> FloatArray:
     """Half of the 90 % interval of the 5 % fractile of a normal sample, in standard deviations of the sample."""
-    away = -float(ndtri(FRACTILE)) * math.sqrt(n)
-    low, high = (float(nctdtrit(n - 1, away, q)) for q in (0.05, 0.95))
-    return (high - low) / (2.0 * math.sqrt(n))
+    n = np.asarray(n, dtype=np.float64)
+    low, high = (nctdtrit(n - 1, -float(ndtri(FRACTILE)) * np.sqrt(n), q) for q in (0.05, 0.95))
+    return np.asarray((high - low) / (2.0 * np.sqrt(n)))
 
 
 MOST_RUNS = 9
@@ -202,7 +193,6 @@ class RivalModel:
     # planned run and in the old ones; mean, shape (d,), after the old tests, and what these say of them
     mean: FloatArray
     gaussian: Gaussian
-    evidence: float = 0.0  # log density of the old tests; 0 where there are none
 
     @property
     def drawn(self) -> BoolArray:
@@ -231,19 +221,22 @@ class PretestPosterior:
     peak_mm_s: float | None = None  # peak speed of the old tests, which low speeds are a share of
 
     @property
-    def keys(self) -> tuple[Key, ...]:
-        """Sets of classes that are told apart, most probable first."""
-        return tuple(sorted(self.probabilities, key=lambda key: (-self.probabilities[key], sorted(key))))
-
-    @property
     def shares(self) -> FloatArray:
         """Probability of each rival, shape (n_rivals,)."""
         return np.array([b.share for b in self.rivals])
 
     @property
     def probabilities(self) -> dict[Key, float]:
-        """Probability of each set of classes."""
-        return self.by_set(self.shares)
+        """Probability of each set of classes, the most probable first."""
+        out: dict[Key, float] = {}
+        for b in self.rivals:
+            out[b.key] = out.get(b.key, 0.0) + b.share
+        return dict(sorted(out.items(), key=lambda one: (-one[1], sorted(one[0]))))
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Sets of classes that are told apart, most probable first."""
+        return tuple(self.probabilities)
 
     @property
     def entropy(self) -> float:
@@ -253,14 +246,7 @@ class PretestPosterior:
     @property
     def contenders(self) -> tuple[Key, ...]:
         """Fewest sets that together hold 95 %, most probable first."""
-        return tuple(key for key, _ in most_probable([(key, self.probabilities[key]) for key in self.keys]))
-
-    def by_set(self, shares: Iterable[float]) -> dict[Key, float]:
-        """Sum the shares of the rivals over each set of classes."""
-        out: dict[Key, float] = {}
-        for b, share in zip(self.rivals, shares, strict=True):
-            out[b.key] = out.get(b.key, 0.0) + float(share)
-        return out
+        return tuple(key for key, _ in most_probable(list(self.probabilities.items())))
 
     def base_force(self, history: History, start_force_kN: float = 0.0, share_of_speed: float = 1.0) -> FloatArray:
         """Force of the base law in one run with a share of its dependence on speed, shape (n,), kN."""
@@ -270,19 +256,9 @@ class PretestPosterior:
         return np.asarray(alone.force(theta[None], history, start_force_kN)[0])
 
     @property
-    def largest_zero_kN(self) -> float:
-        """Limit of the load cell's zero, see `largest_zero`."""
-        return largest_zero(self.keys, self.sliding_kN)
-
-    @property
     def sliding_kN(self) -> float:
         """Sliding force Fy."""
         return self.device.law_values(self.z)["Fy"]
-
-    def wobbling(self, displacement_mm: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Displacement as it would be measured, with the noise of the old tests."""
-        noise = max((run.motion.noise_mm for run in self.runs), default=0.0)
-        return displacement_mm + noise * rng.standard_normal(displacement_mm.size)
 
     def data(self, time_s: FloatArray, motion: Motion, force_kN: FloatArray) -> BinnedData:
         """Hold the model against one further run, its blocks `COARSER` times as long as those of a fit.
@@ -291,7 +267,7 @@ class PretestPosterior:
         """
         run = Run(Recording(time_s, motion.displacement_mm, force_kN, source=PLANNED), motion)
         bends = partial(self.base_force, share_of_speed=0.0)  # what the speed adds is straight
-        part = _zero_within(reduce_runs((run,), bends, coarser=COARSER)[0], self.largest_zero_kN)
+        part = _zero_within(reduce_runs((run,), bends, coarser=COARSER)[0], self.keys, self.sliding_kN)
         blocks = Blocks([replace(part, history=self.placed(part.history))])
         return BinnedData(Likelihood(blocks, self.device), self.z, self.peak_mm_s)
 
@@ -299,18 +275,17 @@ class PretestPosterior:
         """History of a first run as one that follows the old ones, with their further channels at the references."""
         last = self.old[-1].history if self.old else None
         moved = 0.0 if last is None else float(last.travel_m[-1])
-        begun = 0.0 if last is None else last.begun_s + self.runs[-1].recording.duration_s
-        turns = None
-        if history.near_turns is not None:
-            rows = history.near_turns[0].copy()
+        turns = history.near_turns
+        if turns is not None:
+            rows = turns[0].copy()
             rows[5] += moved
-            turns = (rows, history.near_turns[1])
+            turns = (rows, turns[1])
         return replace(
             history,
             run=len(self.runs) + 1,
             position_mm=history.motion.displacement_mm,
             travel_m=history.travel_m + moved,
-            begun_s=begun,
+            begun_s=0.0 if last is None else last.begun_s + self.runs[-1].recording.duration_s,
             before=last,
             near_turns=turns,
             measured={} if last is None else last.held({}).measured,
@@ -318,24 +293,21 @@ class PretestPosterior:
         )
 
 
-def largest_zero(keys: Iterable[Key], scale_kN: float) -> float:
-    """Give the largest standard deviation of the load cell's zero, kN, at a sliding force of `scale_kN`.
-
-    Where a constant force is among the rivals, a zero that is off by a size that matters is that constant, as in a
-    diagnosis: it has a chance of `ALPHA`. Where it is not, there is no limit.
-    """
-    return MIN_EFFECT * scale_kN / -float(ndtri(ALPHA / 2.0)) if any(CONSTANT in key for key in keys) else math.inf
-
-
 def entropy_of(probabilities: FloatArray) -> FloatArray:
     """Entropy of each row of probabilities, nats."""
     return np.asarray(-np.sum(probabilities * np.log(np.maximum(probabilities, 1e-300)), axis=-1))
 
 
-def _zero_within(part: BinnedRun, limit_kN: float) -> BinnedRun:
-    """Blocks whose zero has a standard deviation of no more than a limit."""
-    timing = part.timing
-    return replace(part, timing=replace(timing, zero_noise_kN=min(timing.zero_noise_kN, limit_kN)))
+def _zero_within(part: BinnedRun, keys: Iterable[Key], scale_kN: float) -> BinnedRun:
+    """Blocks whose load cell has a zero that is off by no more than rivals of these sets allow, at a sliding force, kN.
+
+    Where a constant force is among the rivals, a zero that is off by a size that matters is that constant, as in a
+    diagnosis: it has a chance of `ALPHA`. Where it is not, there is no limit.
+    """
+    if not any(CONSTANT in key for key in keys):
+        return part
+    limit = MIN_EFFECT * scale_kN / -float(ndtri(ALPHA / 2.0))
+    return replace(part, timing=replace(part.timing, zero_noise_kN=min(part.timing.zero_noise_kN, limit)))
 
 
 def common_scales(runs: Sequence[Run], rig: Rig, protocols: Sequence[Protocol]) -> dict[str, Any]:
@@ -367,21 +339,21 @@ def linearise(
     if len(runs) >= MOST_RUNS:
         raise PlanError(f"{name} has {len(runs)} runs; a model takes {MOST_RUNS}, so no further one can be planned")
     own = data_of(runs, device)
-    limit = largest_zero([key for key, _ in sets], own.scale_kN)
-    parts = [_zero_within(part, limit) for part in own.blocks]
+    keys = [key for key, _ in sets]
+    parts = [_zero_within(part, keys, own.scale_kN) for part in own.blocks]
     old = Blocks(replace(part, history=replace(part.history, **scales)) for part in parts)
     peak = own.blocks[0].history.peak_speed_mm_s  # noise at speeds beyond it is as it was there
     data = BinnedData(Likelihood(old, device), own.z, peak)
     known = {c.id: c for c in classes(tested.hidden, own.blocks[0].history.measured)}
-    missing = sorted({c for key, _ in sets for c in key} - set(known))
-    if missing:
+    wanted = sorted(frozenset[str]().union(*keys))
+    if missing := [c for c in wanted if c not in known]:
         raise PlanError(f"'{missing[0]}' is no class of dependence; known are {', '.join(known)}")
-    needed = tuple(known[c] for c in sorted({c for key, _ in sets for c in key}))
+    needed = tuple(known[c] for c in wanted)
     tell(f"{name}: fitting {len(sets)} rivals to the tests so far")
-    slope = data.likelihood.at(device).residual_and_slope(data.z[None])[1][0]
-    size = float(np.std(data.likelihood.at(device).residual(data.z[None])[0]))
+    residual, slopes = data.likelihood.at(device).residual_and_slope(data.z[None])
+    size = float(np.std(residual[0]))
     start = ErrorParameters(noise_of_size(device, size), max(size, 1e-6))
-    rough = laplace(ErrorModel(data, start, slope), device, data.z)
+    rough = laplace(ErrorModel(data, start, slopes[0]), device, data.z)
     looked = candidates(data, rough, needed)
     metric = noise_beside(data, rough, looked, None)
     fitter = Fitter(looked, metric, tested.hidden)
@@ -408,11 +380,13 @@ def before_any_test(device: DeviceModel, scales: Mapping[str, Any]) -> PretestPo
     z = np.zeros(device.n_law)
     setting = ErrorParameters((0.0,) * (len(device.names) - device.n_law), MODEL_ERROR * device.law_values(z)["Fy"])
     size = min(SIZES, key=lambda s: abs(math.log(s / TYPICAL)))
+    odds = PRIOR_INCLUSION / (1.0 - PRIOR_INCLUSION)
     models: list[tuple[Key, float, DeviceModel]] = [(frozenset(), 1.0, device)]
     for action, coordinate in CURVES:
         curve = Curve(action, "heat2" if coordinate == "heat" else coordinate, SMOOTHNESS, False, size)
-        key, model = frozenset({str(DependenceId(action, coordinate))}), device.with_effects((curve.effect(),))
-        models.append((key, PRIOR_INCLUSION / (1.0 - PRIOR_INCLUSION), model))
+        models.append(
+            (frozenset({str(DependenceId(action, coordinate))}), odds, device.with_effects((curve.effect(),)))
+        )
     total, rivals = sum(p for _, p, _ in models), []
     for key, p, model in models:
         none = np.zeros(model.n_law + N_OF_DEVICE + N_OF_RUN)
@@ -455,23 +429,21 @@ def _ways(fitter: Fitter, key: Key) -> list[Hypothesis]:
     """Fit a set of classes: curves of the likely kinds, and formulas in the place of the last of them."""
     ways = [h for h in (fitter.fitted((), fitter.metric.data.z),) if h is not None]
     for left in range(len(key), 0, -1):
-        found: list[Hypothesis] = []
+        if not ways:
+            return []
         h = max(ways, key=lambda h: h.log_weight)
         listed = [c for c in fitter.screen(h) if c.of.id in key - h.key]
-        for c in [c for c in listed if listed and c.of.id == listed[0].of.id][: KINDS if left == 1 else 1]:
+        ways = []
+        for c in [c for c in listed if c.of.id == listed[0].of.id][: KINDS if left == 1 else 1]:
             start = np.concatenate([h.state.z, c.start[-len(c.variant.effect.parameters) :]])
-            found += [new for new in (fitter.fitted((*h.members, c), start),) if new is not None]
-        if not found:
-            return []
-        ways = found
-    curves = [h for h in ways if h.members and h.members[-1].variant.curve is not None]
-    for h in curves[:1]:
-        tried: set[str] = set()
-        for form in fitter.forms(h, len(h.members) - 1):
-            if form.variant.effect.id not in tried:
-                tried.add(form.variant.effect.id)
-                new = fitter.fitted((*h.members[:-1], form), form.start)
-                ways += [new] if new is not None else []
+            ways += [new for new in (fitter.fitted((*h.members, c), start),) if new is not None]
+    curve = next((h for h in ways if h.members and h.members[-1].variant.curve is not None), None)
+    forms: dict[str, Candidate] = {}  # one of each effect
+    for form in fitter.forms(curve, len(curve.members) - 1) if curve else ():
+        forms.setdefault(form.variant.effect.id, form)
+    for form in forms.values():
+        assert curve is not None
+        ways += [new for new in (fitter.fitted((*curve.members[:-1], form), form.start),) if new is not None]
     one_each: dict[tuple[str, ...], Hypothesis] = {}  # of an effect that was fitted from several starts
     for h in sorted(ways, key=lambda h: -h.log_weight):
         one_each.setdefault(tuple(m.variant.effect.id for m in h.members), h)
@@ -499,12 +471,12 @@ def _rival(metric: ErrorModel, key: Key, share: float, h: Hypothesis) -> RivalMo
     further = replace(h.state.model, n_runs=h.state.model.n_runs + 1)
     z, places = _joint(h.state.model, further, h.state.z)
     white = metric.whitened(h.state.beside())
-    disturbed, of_runs = np.split(metric.other, [N_OF_DEVICE], axis=1)
-    unknown = np.zeros((white.shape[0], N_OF_RUN))  # start and zero of the run to come
-    design = np.concatenate([white[:, :1], np.zeros((white.shape[0], z.size)), disturbed, unknown, of_runs], axis=1)
+    n, (disturbed, of_runs) = white.shape[0], np.split(metric.other, [N_OF_DEVICE], axis=1)
+    unknown = np.zeros((n, N_OF_RUN))  # start and zero of the run to come
+    design = np.concatenate([white[:, :1], np.zeros((n, z.size)), disturbed, unknown, of_runs], axis=1)
     design[:, 1 + np.array(places)] = white[:, 1:]
     gaussian = Gaussian.of(design.T @ design)
     mean = gaussian.mean.copy()
     new = np.setdiff1d(np.arange(z.size), places)
     mean[new] += z[new]  # what is new of the further run is expected as it was in the last one
-    return RivalModel(key, share, further, z, mean, gaussian, h.state.evidence)
+    return RivalModel(key, share, further, z, mean, gaussian)

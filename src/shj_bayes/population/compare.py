@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import chdtri, ndtr, stdtr, stdtrit
@@ -21,12 +21,18 @@ from shj_bayes.population.device import Tags
 from shj_bayes.population.hierarchy import PopulationResult
 from shj_bayes.population.quantities import Band, band_of, quantity
 
-Kind = tuple[Callable[[Tags], bool], Callable[[Tags], Tags]]
-"""Which sets belong, and their tags without what is compared: sets with the same rest form a stratum."""
 Stratum = tuple[list[int], list[int]]
 """Positions of the sets on both sides; all else is alike."""
+Kind = tuple[Callable[[Tags], bool], Mapping[str, Any]]
+"""Which sets belong, and what is put in the place of the tags compared: sets that are alike then form a stratum."""
 BARE = {"", "none", "bare", "uncoated", "plain", "machined", "polished", "mill scale", "as rolled"}
 """Words for a surface that nothing was done to. A blasted one is a coating, as in the paper (Tables 4 to 7)."""
+KINDS: dict[str, Kind] = {
+    "coated": (lambda tags: not is_bare(tags.coating), {"coating": "", "coverage_percent": None}),
+    "uncoated": (lambda tags: is_bare(tags.coating), {"coating": "", "coverage_percent": None}),
+    "corroded": (lambda tags: tags.corroded, {"corroded": False}),
+    "uncorroded": (lambda tags: not tags.corroded, {"corroded": False}),
+}
 WORDS = "coated, uncoated, corroded, uncorroded, or a coverage such as '70 %'"
 
 
@@ -36,20 +42,19 @@ def strata_of(result: PopulationResult, first: str, second: str) -> tuple[str, s
     Gives both sides by name, and the positions of their sets, stratum by stratum; all else is alike within a stratum.
     `PopulationError` if a set is unknown, both are the same, or no two sets differ in what is compared alone.
     """
-    kinds = _kind(result, first), _kind(result, second)
-    if kinds[0] is None and kinds[1] is None:
+    kinds = [kind for words in (first, second) if (kind := _kind(result, words))]
+    if not kinds:
         i, j = result.index(first), result.index(second)
         if i == j:
             raise PopulationError(f"a set cannot be compared with itself ({first!r}); name two different sets")
         return result.set_names[i], result.set_names[j], (([i], [j]),)
-    if kinds[0] is None or kinds[1] is None:
+    if len(kinds) == 1:
         raise PopulationError(f"compare two sets, or two kinds of sets ({WORDS}); got {first!r} and {second!r}")
     sides: list[dict[Tags, list[int]]] = [{}, {}]
     for i, group in enumerate(result.sets):
-        for side, kind in zip(sides, kinds, strict=True):
-            assert kind is not None
-            if kind[0](group.tags):
-                side.setdefault(kind[1](group.tags), []).append(i)
+        for side, (belongs, compared) in zip(sides, kinds, strict=True):
+            if belongs(group.tags):
+                side.setdefault(replace(group.tags, **compared), []).append(i)
     found = tuple((a, sides[1][rest]) for rest, a in sides[0].items() if rest in sides[1])
     if not found or any(set(a) & set(b) for a, b in found):
         raise PopulationError(
@@ -60,6 +65,17 @@ def strata_of(result: PopulationResult, first: str, second: str) -> tuple[str, s
     return first, second, found
 
 
+def _kind(result: PopulationResult, words: str) -> Kind | None:
+    """Read a kind of sets from words; None for the name of a set, which goes first."""
+    folded = words.strip().casefold()
+    if folded in {name.casefold() for name in result.set_names}:
+        return None
+    if match := re.fullmatch(r"(?:coverage\s*)?(\d+(?:\.\d+)?)\s*%?", folded):
+        percent = float(match[1])
+        return (lambda tags: tags.coverage_percent == percent), {"coverage_percent": None}
+    return KINDS.get(folded.replace("not ", "un"))
+
+
 def is_bare(coating: str) -> bool:
     """Whether a coating is none: bare steel."""
     return re.sub(r"[\s_-]+", " ", coating.strip().casefold()) in BARE
@@ -67,30 +83,9 @@ def is_bare(coating: str) -> bool:
 
 def members(result: PopulationResult, strata: tuple[Stratum, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of the sets on both sides of a comparison, in the order of the population."""
-    first, second = (
-        tuple(result.set_names[i] for i in sorted({i for stratum in strata for i in stratum[side]})) for side in (0, 1)
-    )
+    names = result.set_names
+    first, second = (tuple(names[i] for i in sorted({i for s in strata for i in s[side]})) for side in (0, 1))
     return first, second
-
-
-def _kind(result: PopulationResult, words: str) -> Kind | None:
-    """Read a kind of sets from words; None for the name of a set, which goes first."""
-    folded = words.strip().casefold()
-    if folded in {name.casefold() for name in result.set_names}:
-        return None
-    if folded in ("corroded", "uncorroded", "not corroded"):
-        wanted = folded == "corroded"
-        return (lambda tags: tags.corroded is wanted), (lambda tags: replace(tags, corroded=False))
-    if folded in ("coated", "uncoated", "not coated"):
-        bare = folded != "coated"
-        return (lambda tags: is_bare(tags.coating) is bare), (
-            lambda tags: replace(tags, coating="", coverage_percent=None)
-        )
-    match = re.fullmatch(r"(?:coverage\s*)?(\d+(?:\.\d+)?)\s*%?", folded)
-    if match:
-        percent = float(match[1])
-        return (lambda tags: tags.coverage_percent == percent), (lambda tags: replace(tags, coverage_percent=None))
-    return None
 
 
 LEVEL, POWER = 0.05, 0.8
@@ -373,25 +368,23 @@ def _pairs(
     result: PopulationResult, name: str, strata: Sequence[Stratum]
 ) -> tuple[tuple[PairContrast, ...], list[Pair]]:
     """Give what the devices of each stratum showed, and their values on the pooled scale."""
-    q = quantity(name)
-
-    def side(of_sets: Sequence[int]) -> tuple[str, dict[str, float]]:
-        groups = [result.sets[i] for i in of_sets]
-        found = {
-            f"{g.name}, {device}" if len(groups) > 1 else device: point
-            for g in groups
-            for device, point in zip(g.devices, g.points.get(name, ()), strict=False)
-            if math.isfinite(point)
-        }
-        return " and ".join(g.name for g in groups), found
-
-    out, values = [], []
+    natural, out, values = quantity(name).natural, [], []
     for stratum in strata:
-        (a, of_a), (b, of_b) = map(side, stratum)
-        both = np.array(list(of_a.values())), np.array(list(of_b.values()))
-        seen = float(q.natural(both[0].mean() - both[1].mean())) if of_a and of_b else None
-        natural = [{d: float(q.natural(x)) for d, x in found.items()} for found in (of_a, of_b)]
-        out.append(PairContrast(a, b, natural[0], natural[1], seen))
+        sides = [[result.sets[i] for i in of_sets] for of_sets in stratum]
+        a, b = (
+            {
+                f"{g.name}, {device}" if len(groups) > 1 else device: point
+                for g in groups
+                for device, point in zip(g.devices, g.points.get(name, ()), strict=False)
+                if math.isfinite(point)
+            }
+            for groups in sides
+        )
+        both = np.array(list(a.values())), np.array(list(b.values()))
+        seen = float(natural(both[0].mean() - both[1].mean())) if a and b else None
+        first, second = (" and ".join(g.name for g in groups) for groups in sides)
+        shown_a, shown_b = ({device: float(natural(x)) for device, x in found.items()} for found in (a, b))
+        out.append(PairContrast(first, second, shown_a, shown_b, seen))
         values.append(both)
     return tuple(out), values
 

@@ -11,12 +11,19 @@ from pathlib import Path
 
 import numpy as np
 
-from shj_bayes._util.arrays import FloatArray
 from shj_bayes._util.files import damage_told, shipped
 from shj_bayes.errors import PopulationError, ShjError
 from shj_bayes.model.law import variant_named
-from shj_bayes.model.priors import Prior
-from shj_bayes.population.quantities import QUANTITIES, QuantityLikelihood, Rounded, of_draws, ratio_of
+from shj_bayes.population.quantities import (
+    QUANTITIES,
+    QuantityLikelihood,
+    gamma_of_dep,
+    of_draws,
+    ratio_of,
+    rounded,
+    to_decade,
+    to_step,
+)
 from shj_bayes.results.device import DeviceResult
 
 
@@ -51,33 +58,6 @@ class DeviceEstimate:
             raise PopulationError(
                 f"device {self.name!r} gives none of K, Fy, ratio, gamma, beta; leave it out or give one of them"
             )
-
-    @classmethod
-    def from_posterior(
-        cls,
-        name: str,
-        set_name: str,
-        draws: Mapping[str, FloatArray],
-        log_prior: Mapping[str, FloatArray],
-        tags: Tags = Tags(),
-    ) -> DeviceEstimate:
-        """Build a device from its single-device posterior: by quantity, equally weighted draws in natural units.
-
-        `log_prior` is the log density of the single-device prior at those draws, on the pooled scale (densities of log
-        K, log Fy, log ratio, log beta and of gamma itself), up to a constant. `PopulationError` if the prior of a
-        quantity is missing, does not fit its draws, or shaped them more than the recording did.
-        """
-        missing = sorted(set(draws) - set(log_prior))
-        if missing:
-            raise PopulationError(
-                f"device {name!r}: the prior density of {', '.join(missing)} is missing; without it the single-device "
-                "prior would be counted once per device"
-            )
-        try:
-            known = {q: of_draws(q, draws[q], log_prior[q]) for q in draws}
-        except PopulationError as error:
-            raise PopulationError(f"device {name!r}: {error}") from error
-        return cls(name, set_name, known, tags)
 
     def point(self, name: str) -> float:
         """Point value on the pooled scale, NaN when this device does not give the quantity."""
@@ -174,20 +154,20 @@ def device_from_fit(folder: Path, name: str, set_name: str, tags: Tags = NO_TAGS
     """Read one finished fit as a device of a population.
 
     Draws of K, Fy, beta, gamma and ratio, as far as the fit has them, with the density of the prior they were sampled
-    under, so that the population does not count that prior once for each device.
+    under, so that the population does not count that prior once for each device. `PopulationError` if the prior of a
+    quantity shaped its draws more than the recording did.
     """
     with damage_told(f"fit.json or posterior.nc in {folder.name}", PopulationError):
-        fit = DeviceResult.read(folder)
-        draws = {q: fit.draws[q] for q in QUANTITIES if q in fit.draws}
-        log_prior = {q: _pooled_log_density(fit.laws[q], values) for q, values in draws.items()}
-        return DeviceEstimate.from_posterior(name, set_name, draws, log_prior, tags)
-
-
-def _pooled_log_density(prior: Prior, values: FloatArray) -> FloatArray:
-    """Log density of a prior on the scale on which the quantity is pooled, shape (n,)."""
-    density = prior.log_density(values)
-    # On a logarithmic scale a density of the value itself gains the factor d value / d log value.
-    return density + np.log(values) if QUANTITIES[prior.name].logarithmic else density
+        fit, known = DeviceResult.read(folder), {}
+        for q in (q for q in QUANTITIES if q in fit.draws):
+            values, prior = fit.draws[q], fit.laws[q]
+            # On a logarithmic scale a density of the value itself gains the factor d value / d log value.
+            density = prior.log_density(values) + (np.log(values) if QUANTITIES[prior.name].logarithmic else 0.0)
+            try:
+                known[q] = of_draws(q, values, density)
+            except PopulationError as error:
+                raise PopulationError(f"device {name!r}: {error}") from error
+        return DeviceEstimate(name, set_name, known, tags)
 
 
 def tested_by_fit(folder: Path) -> RangeTested | None:
@@ -201,11 +181,9 @@ def tested_by_fit(folder: Path) -> RangeTested | None:
         motions = [history.motion for history in fit.histories]
     except (ShjError, KeyError, TypeError, ValueError):
         return None
-    amplitudes, peaks = [], []
-    for motion in motions:
-        for a, b in pairwise(motion.start[1:-1]):
-            amplitudes.append(0.5 * float(np.ptp(motion.displacement_mm[a:b])))
-            peaks.append(float(np.quantile(motion.speed_mm_s[a:b], 0.98)))
+    cut = [(motion, slice(a, b)) for motion in motions for a, b in pairwise(motion.start[1:-1])]
+    amplitudes = [0.5 * float(np.ptp(motion.displacement_mm[part])) for motion, part in cut]
+    peaks = [float(np.quantile(motion.speed_mm_s[part], 0.98)) for motion, part in cut]
     if not amplitudes or min(amplitudes) <= 0 or min(peaks) <= 0:
         return None
     # A recording on noisy displacement has half-cycles of different size; 2 % at either end is not a range.
@@ -261,14 +239,14 @@ class PublishedRow:
     def device(self) -> DeviceEstimate:
         """Turn the row into a device whose values are known up to their rounding."""
         value, step = self.values, self.steps
-        printed = {
-            "K": Rounded.to_step(value["K", 1], step["K"]),
-            "Fy": Rounded.to_step(value["Fy", 1], step["Fy"]),
-            "gamma": Rounded.gamma_of_dep(value["dep", 1], step["dep"]),
-            "beta": Rounded.to_decade(value["beta", 1], step["beta"]),
+        first, second = (to_step(value["Fy", run], step["Fy"]) for run in (1, 2))
+        known = {
+            "K": rounded("K", to_step(value["K", 1], step["K"])),
+            "Fy": rounded("Fy", first),
+            "gamma": rounded("gamma", gamma_of_dep(value["dep", 1], step["dep"])),
+            "beta": rounded("beta", to_decade(value["beta", 1], step["beta"])),
+            "ratio": ratio_of(second, first),
         }
-        second = Rounded.to_step(value["Fy", 2], step["Fy"])
-        known = {q: one.of(q) for q, one in printed.items()} | {"ratio": ratio_of(second, printed["Fy"])}
         return DeviceEstimate(f"T{self.table} {self.row}", self.set_name, known, self.tags)
 
 
@@ -282,31 +260,27 @@ def read_table(number: int) -> list[dict[str, str]]:
 
 def published_rows() -> tuple[PublishedRow, ...]:
     """Return the 25 device rows of Tables 3-7; rows that repeat another table are left out."""
-    rows = []
+    found: dict[tuple[int, str], list[dict[str, str]]] = {}
     for number in DEVICE_TABLES:
-        by_row: dict[str, list[dict[str, str]]] = {}
         for line in read_table(number):
             if not line["repeats_table"]:
-                by_row.setdefault(line["row"], []).append(line)
-        for row, lines in by_row.items():
-            head = lines[0]
-            coverage = head["coverage_percent"]
-            rows.append(
-                PublishedRow(
-                    number,
-                    row,
-                    head["set"],
-                    Tags(
-                        coating=head["coating"],
-                        coverage_percent=float(coverage) if coverage else None,
-                        corroded=head["corroded"] == "true",
-                        material=head["material"],
-                    ),
-                    {(line["quantity"], int(line["run"])): float(line["value"]) for line in lines},
-                    {line["quantity"]: float(line["rounding_step"]) for line in lines},
-                )
-            )
-    return tuple(rows)
+                found.setdefault((number, line["row"]), []).append(line)
+    return tuple(
+        PublishedRow(
+            number,
+            row,
+            head["set"],
+            Tags(
+                coating=head["coating"],
+                coverage_percent=float(head["coverage_percent"]) if head["coverage_percent"] else None,
+                corroded=head["corroded"] == "true",
+                material=head["material"],
+            ),
+            {(line["quantity"], int(line["run"])): float(line["value"]) for line in (head, *others)},
+            {line["quantity"]: float(line["rounding_step"]) for line in (head, *others)},
+        )
+        for (number, row), (head, *others) in found.items()
+    )
 
 
 def published_devices() -> tuple[DeviceEstimate, ...]:

@@ -28,6 +28,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -36,7 +37,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 from tqdm import tqdm
 
-from shj_bayes._util.arrays import FloatArray, freeze
+from shj_bayes._util.arrays import FloatArray, freeze, one_blas_thread
 from shj_bayes.errors import PopulationError, did_you_mean
 from shj_bayes.inference.likelihood import n_threads
 from shj_bayes.population.device import DeviceEstimate, RangeTested, Tags, sets_of
@@ -135,8 +136,18 @@ class Integral(NamedTuple):
 def integrate(sets: Sequence[Sequence[QuantityLikelihood]], prior: PopulationPrior) -> Integral:
     """Integrate over the levels and spreads of all sets and what they have in common; one set must hold a device."""
     found = _evaluated(*_widest(sets, prior), sets, prior)
-    for size in (COARSE, FINE):
-        found = _evaluated(*_narrowed(found, *size), sets, prior)
+    for n_level, n_spread, n_hyper in (COARSE, FINE):  # where the probability was found
+        joint = found.weights.reshape([axis.n for axis in found.hyper])
+        hyper = tuple(
+            axis.narrowed(joint.sum(axis=tuple({0, 1, 2, 3} - {i})), n)
+            for i, (axis, n) in enumerate(zip(found.hyper, n_hyper, strict=True))
+        )
+        axes = []
+        for one in found.sets:
+            cells = cells_of(found, one)
+            level, spread = cells.sum(axis=1), cells.sum(axis=0)
+            axes.append((one.level.narrowed(level, n_level), one.spread.narrowed(spread, n_spread)))
+        found = _evaluated(hyper, axes, sets, prior)
     return found
 
 
@@ -157,13 +168,10 @@ def _widest(
     middle = float(centres.mean())
     between = math.hypot(float(centres.std()), float(close.min())) if len(places) > 1 else prior.between_scale
     untested = (middle, 0.2 * prior.between_scale, prior.spread_median)
-    axes = [
-        (
-            Axis.between(centre - reach, centre + reach, n_level, centre, scale),
-            Axis.between(low, high, n_spread, math.log(apart), 1.0),
-        )
-        for centre, scale, apart in (_apex(*of_set) if of_set.size else untested for of_set in known)
-    ]
+    axes = []
+    for centre, scale, apart in (_apex(*of_set) if of_set.size else untested for of_set in known):
+        level = Axis.between(centre - reach, centre + reach, n_level, centre, scale)
+        axes.append((level, Axis.between(low, high, n_spread, math.log(apart), 1.0)))
     hyper = (
         Axis.between(middle - reach, middle + reach, n_hyper[0], middle, between / math.sqrt(centres.size)),
         Axis.between(0.0, 60.0 * prior.between_scale + widest, n_hyper[1], 0.0, between),
@@ -247,22 +255,6 @@ def _masses(device: QuantityLikelihood, level: FloatArray, spread: FloatArray) -
         for centre, sd, weight in zip(device.first, device.second, device.weight, strict=True):
             precision = 1.0 / (spread**2 + sd**2)
             yield np.exp((-0.5 * (centre - level) ** 2)[:, None] * precision) * (weight * np.sqrt(precision))
-
-
-def _narrowed(
-    found: Integral, n_level: int, n_spread: int, n_hyper: Sequence[int]
-) -> tuple[tuple[Axis, ...], list[tuple[Axis, Axis]]]:
-    """Lay all axes where the probability was found."""
-    joint = found.weights.reshape([axis.n for axis in found.hyper])
-    hyper = tuple(
-        axis.narrowed(joint.sum(axis=tuple({0, 1, 2, 3} - {i})), n)
-        for i, (axis, n) in enumerate(zip(found.hyper, n_hyper, strict=True))
-    )
-    axes = []
-    for one in found.sets:
-        cells = cells_of(found, one)
-        axes.append((one.level.narrowed(cells.sum(axis=1), n_level), one.spread.narrowed(cells.sum(axis=0), n_spread)))
-    return hyper, axes
 
 
 def cells_of(found: Integral, one: SetGrid) -> FloatArray:
@@ -416,6 +408,37 @@ def fit_quantity(
     return QuantityPosterior(name, mu, tau, hyper, tuple(len(group) for group in sets))
 
 
+def fit_quantities(
+    sets: Mapping[str, Sequence[Sequence[QuantityLikelihood]]],
+    priors: Mapping[str, PopulationPrior],
+    seed: int,
+    *labels: str,
+    n_draws: int = FEWER_DRAWS,
+    progress: bool = False,
+    known: Mapping[str, Mapping[str, QuantityPosterior]] = MappingProxyType({}),
+) -> dict[str, dict[str, QuantityPosterior]]:
+    """Posteriors of many quantities under the default prior of each and two others of the spread, by prior, quantity.
+
+    `labels` are those of their streams of chance, `n_draws` the draws under the default prior; what is `known` is not
+    made again.
+    """
+    given = {q: {MAIN_PRIOR: prior, **other_priors(prior)} for q, prior in priors.items()}
+
+    def one(task: tuple[str, str]) -> QuantityPosterior:
+        label, q = task
+        n = n_draws if label == MAIN_PRIOR else FEWER_DRAWS
+        return fit_quantity(q, sets[q], given[q][label], stream(seed, *labels, q, label), n)
+
+    fits = {label: dict(of_prior) for label, of_prior in known.items()}
+    tasks = [(label, q) for label in (MAIN_PRIOR, *ASSUMED) for q in sets if q not in fits.get(label, {})]
+    with ThreadPoolExecutor(n_threads(0)) as threads:
+        done = tqdm(threads.map(one, tasks), "population", len(tasks), disable=None if progress else True, leave=False)
+        for (label, q), fitted in zip(tasks, done, strict=True):
+            fits.setdefault(label, {})[q] = fitted
+    return fits
+
+
+@one_blas_thread
 def fit_population(
     devices: Sequence[DeviceEstimate],
     *,
@@ -436,19 +459,8 @@ def fit_population(
     names = [q for q in (*QUANTITIES, *DESIGN) if any(q in device.measurements for device in devices)]
     sets = {q: [[d.measurements[q] for d in group if q in d.measurements] for group in grouped.values()] for q in names}
     chosen = {q: population_prior(q) for q in names}
-    priors = {q: {MAIN_PRIOR: prior, **other_priors(prior)} for q, prior in chosen.items()}
-
-    def one(task: tuple[str, str]) -> QuantityPosterior:
-        label, q = task
-        few = brief or label != MAIN_PRIOR
-        return fit_quantity(q, sets[q], priors[q][label], stream(seed, q, label), FEWER_DRAWS if few else N_DRAWS)
-
-    fits = {label: dict(of_prior) for label, of_prior in (known or {}).items()}
-    tasks = [(label, q) for label in (MAIN_PRIOR, *ASSUMED) for q in names if q not in fits.get(label, {})]
-    with ThreadPoolExecutor(n_threads(0)) as threads:
-        done = tqdm(threads.map(one, tasks), "population", len(tasks), disable=None if progress else True, leave=False)
-        for (label, q), fitted in zip(tasks, done, strict=True):
-            fits.setdefault(label, {})[q] = fitted
+    n_draws = FEWER_DRAWS if brief else N_DRAWS
+    fits = fit_quantities(sets, chosen, seed, n_draws=n_draws, progress=progress, known=known or {})
     return PopulationResult(
         sets=tuple(
             DeviceSet(

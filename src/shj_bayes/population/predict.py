@@ -132,17 +132,15 @@ def new_device(result: PopulationResult, set_name: str = ANY_SET, prior: str = "
 @lru_cache(maxsize=64)
 def _new_device(result: PopulationResult, index: int | None, prior: str) -> NewDevice:
     name = ANY_SET if index is None else result.set_names[index]
-    levels, spreads, apart = [], [], []
+    drawn = []
     for q in result.posteriors:
         rng = np.random.default_rng(stream(result.seed, "new device", name, q, prior))
         mu, tau = result.fit(q, prior).level_and_spread(index, rng)
-        levels.append(mu)
-        spreads.append(tau)
-        apart.append(rng.standard_normal(mu.size))
-    together = np.einsum("nij,jn->in", _ties(result, levels[0].size, prior), np.array(apart))
-    draws: dict[str, FloatArray] = {
-        q: quantity(q).natural(levels[i] + spreads[i] * together[i]) for i, q in enumerate(result.posteriors)
-    }
+        drawn.append((mu, tau, rng.standard_normal(mu.size)))
+    levels, spreads, apart = (np.array(rows) for rows in zip(*drawn, strict=True))
+    together = np.einsum("nij,jn->in", _ties(result, levels.shape[1], prior), apart)
+    values = zip(result.posteriors, levels + spreads * together, strict=True)
+    draws: dict[str, FloatArray] = {q: quantity(q).natural(pooled) for q, pooled in values}
     draws |= {force: draws["Fy"] * draws[q] for force, q in RUN_FORCES.items() if "Fy" in draws and q in draws}
     n = 0 if index is None else len(result.sets[index].devices)
     return NewDevice(name, n, draws)
@@ -174,11 +172,8 @@ def never_tested_words(n_sets: int) -> str:
 
 def devices_behind(result: PopulationResult, set_name: str, name: str) -> int:
     """Count the tested devices of a set that give a quantity; a later run's force needs the first one and the ratio."""
-    if set_name == ANY_SET:
-        return 0
-    index = result.index(set_name)
     needed = ("Fy", RUN_FORCES[name]) if name in RUN_FORCES else (name,)
-    return min(result.fit(q).n_devices[index] for q in needed)
+    return 0 if set_name == ANY_SET else min(result.fit(q).n_devices[result.index(set_name)] for q in needed)
 
 
 def dep_words(low: float, high: float) -> str:
@@ -217,14 +212,12 @@ def how_wide(result: PopulationResult, set_name: str) -> str:
     q05, q50, q95 = main.band("Fy")
     others = {label: new_device(result, set_name, label).band("Fy") for label in result.other_priors}
     n = devices_behind(result, set_name, "Fy")
-    if set_name == ANY_SET:
-        head = "A set never tested, like the tested ones"
-    elif n == 0:
-        head = f"No device of {main.set_name} gives Fy"
-    elif n == 1:
-        head = f"One device of {main.set_name} was tested, which says nothing about its spread"
-    else:
-        head = f"{n} devices of {main.set_name} were tested"
+    few = {
+        0: f"No device of {main.set_name} gives Fy",
+        1: f"One device of {main.set_name} was tested, which says nothing about its spread",
+    }
+    head = few.get(n, f"{n} devices of {main.set_name} were tested")
+    head = "A set never tested, like the tested ones" if set_name == ANY_SET else head
     tail = "; ".join(
         f"{low:.3g} to {high:.3g} {ASSUMED.get(k, f'under the {k} prior')}" for k, (low, _, high) in others.items()
     )

@@ -286,72 +286,58 @@ class QuantityLikelihood:
         return mean, float(np.sqrt(np.sum(mass * (variance + (centre - mean) ** 2))))
 
 
-@dataclass(frozen=True)
-class Rounded:
-    """A printed value that stands for everything which rounds to it.
+Printed = tuple[float, float, float]
+"""A printed value, and the lower and upper end of what rounds to it, natural unit.
 
-    The likelihood is the indicator of the interval, which is the same on every scale.
-    """
-
-    value: float  # as printed, natural unit
-    # lower, upper: what it stands for, natural unit
-    lower: float
-    upper: float
-
-    def __post_init__(self) -> None:
-        """Refuse an empty interval or one that misses its value."""
-        if not (np.isfinite([self.lower, self.upper]).all() and self.lower < self.upper):
-            raise PopulationError(
-                f"a rounded value needs finite bounds with lower < upper; got {self.lower:g} to {self.upper:g}. "
-                "Give the rounding step of the table (above zero)"
-            )
-        if not self.lower <= self.value <= self.upper:
-            raise PopulationError(
-                f"the printed value {self.value:g} lies outside the interval {self.lower:g} to {self.upper:g} "
-                "that it is said to stand for; correct the rounding step"
-            )
-
-    @classmethod
-    def to_step(cls, value: float, step: float) -> Rounded:
-        """Value rounded to a multiple of ``step`` (natural unit): half a step either way."""
-        return cls(value, value - 0.5 * step, value + 0.5 * step)
-
-    @classmethod
-    def to_decade(cls, value: float, decades: float = 1.0) -> Rounded:
-        """Value rounded to a power of ten: half of ``decades`` either way on the logarithm."""
-        return cls(value, value * 10.0 ** (-0.5 * decades), value * 10.0 ** (0.5 * decades))
-
-    @classmethod
-    def gamma_of_dep(cls, dep: float, step: float) -> Rounded:
-        """Interval of gamma = 1/dep, s/mm, for a dep in mm/s rounded to ``step``; refuses one that reaches 0."""
-        if abs(dep) <= 0.5 * step:
-            raise PopulationError(
-                f"dep = {dep:g} mm/s rounded to {step:g} reaches zero, where gamma = 1/dep has no bound; "
-                "give gamma itself, or a smaller rounding step"
-            )
-        ends = 1.0 / (dep + 0.5 * step), 1.0 / (dep - 0.5 * step)
-        return cls(1.0 / dep, min(ends), max(ends))
-
-    def of(self, name: str) -> QuantityLikelihood:
-        """Take the value for that of a quantity."""
-        pool = quantity(name).pool
-        ends = pool(np.array([self.lower, self.upper]))
-        return QuantityLikelihood(True, ends[:1], ends[1:], np.ones(1), point=float(pool(self.value)))
+The likelihood is the indicator of the interval, which is the same on every scale.
+"""
 
 
-def ratio_of(second: Rounded, first: Rounded) -> QuantityLikelihood:
+def to_step(value: float, step: float) -> Printed:
+    """Value rounded to a multiple of ``step`` (natural unit): half a step either way."""
+    return value, value - 0.5 * _above_zero(step), value + 0.5 * step
+
+
+def to_decade(value: float, decades: float = 1.0) -> Printed:
+    """Value rounded to a power of ten: half of ``decades`` either way on the logarithm."""
+    return value, value * 10.0 ** (-0.5 * _above_zero(decades)), value * 10.0 ** (0.5 * decades)
+
+
+def gamma_of_dep(dep: float, step: float) -> Printed:
+    """Interval of gamma = 1/dep, s/mm, for a dep in mm/s rounded to ``step``; refuses one that reaches 0."""
+    if abs(dep) <= 0.5 * _above_zero(step):
+        raise PopulationError(
+            f"dep = {dep:g} mm/s rounded to {step:g} reaches zero, where gamma = 1/dep has no bound; "
+            "give gamma itself, or a smaller rounding step"
+        )
+    return 1.0 / dep, 1.0 / (dep + 0.5 * step), 1.0 / (dep - 0.5 * step)
+
+
+def _above_zero(step: float) -> float:
+    if not 0 < step < math.inf:
+        raise PopulationError(f"the rounding step of a printed value must be above zero; got {step:g}")
+    return step
+
+
+def rounded(name: str, printed: Printed) -> QuantityLikelihood:
+    """Likelihood of a quantity of which a rounded value was printed."""
+    point, low, high = quantity(name).pool(np.array(printed))
+    return QuantityLikelihood(True, np.array([low]), np.array([high]), np.ones(1), point=float(point))
+
+
+def ratio_of(second: Printed, first: Printed) -> QuantityLikelihood:
     """Ratio of two rounded forces, each uniform inside its own interval.
 
     With n uniform on [a, b] and d on [c, e] the density of log(n/d) = u is, up to a constant, e^u times the integral of
     d over the d that keep d e^u inside [a, b]. It is made constant on six equal pieces (error far below the rounding).
     """
     pool = quantity("ratio").pool
-    a, b, c, e = (float(pool(x)) for x in (second.lower, second.upper, first.lower, first.upper))
+    a, b, c, e = (float(pool(x)) for x in (*second[1:], *first[1:]))
     edges = np.linspace(a - e, b - c, 7)
     middle = 0.5 * (edges[:-1] + edges[1:])
     low, high = np.exp(np.maximum(c, a - middle)), np.exp(np.minimum(e, b - middle))
     density = np.exp(middle) * 0.5 * np.maximum(high**2 - low**2, 0.0)
-    point = float(pool(second.value / first.value))
+    point = float(pool(second[0] / first[0]))
     return QuantityLikelihood(True, edges[:-1], edges[1:], density / density.max(), point=point)
 
 

@@ -142,6 +142,10 @@ def of_readings(readings: Readings, least_amplitude_mm: float) -> dict[str, Floa
     stiffness = 2.0 * end / stroke
     log, apart = np.log(np.maximum(plateau, 1e-9)), travel - travel.mean()
     squares = float(apart @ apart)
+    push, pull = (
+        plateau[:, way].mean(axis=1) if way.any() else np.full(plateau.shape[0], np.nan)
+        for way in (direction > 0, direction < 0)
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         damping = (2.0 / np.pi) * 1000.0 * energy / (stiffness * stroke**2)
     return {
@@ -152,8 +156,8 @@ def of_readings(readings: Readings, least_amplitude_mm: float) -> dict[str, Floa
         "first": cycles[:, 0],
         "third": cycles[:, min(THIRD, cycles.shape[1] - 1)],
         "last": cycles[:, -1],
-        "push": _mean(plateau[:, direction > 0]),
-        "pull": _mean(plateau[:, direction < 0]),
+        "push": push,
+        "pull": pull,
         "end": end,
         "energy": energy,
         "stiffness": stiffness,
@@ -166,10 +170,6 @@ def half_cycles_from(readings: Readings, least_amplitude_mm: float) -> IntArray:
     """Half-cycles that count, from an amplitude on."""
     large = readings.amplitude_mm >= least_amplitude_mm * (1.0 - ALIKE)
     return np.flatnonzero(readings.complete & large)
-
-
-def _mean(values: FloatArray) -> FloatArray:
-    return values.mean(axis=1) if values.shape[1] else np.full(values.shape[0], np.nan)
 
 
 def pooled(runs: Sequence[dict[str, FloatArray]]) -> Iterator[tuple[str, FloatArray]]:

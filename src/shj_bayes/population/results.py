@@ -3,18 +3,18 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 import shj_bayes
 from shj_bayes._util.files import damage_told, write_text
-from shj_bayes.errors import PopulationError, ShjError
+from shj_bayes.errors import PopulationError
 from shj_bayes.population.device import NO_TAGS, RangeTested, Tags
 from shj_bayes.population.hierarchy import ANY_SET, MAIN_PRIOR, SCHEMA, DeviceSet, PopulationResult, QuantityPosterior
 from shj_bayes.population.predict import correlation_table, how_wide, new_device_table
 from shj_bayes.population.quantities import PopulationPrior
-from shj_bayes.results.codec import IF_KNOWN, finite
+from shj_bayes.results.codec import IF_KNOWN, Stored, finite
 from shj_bayes.results.store import read, read_arrays, write, write_arrays
 from shj_bayes.results.tables import Cells
 
@@ -59,13 +59,8 @@ class CorrelationRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PopulationRecord:
+class PopulationRecord(Stored, file="population.json", command="shj-bayes tables or campaign", error=PopulationError):
     """Content of ``population.json``."""
-
-    FILE: ClassVar[str] = "population.json"
-    ERROR: ClassVar[type[ShjError]] = PopulationError
-    MISSING: ClassVar[str] = "holds no readable population; run `shj-bayes tables` or `shj-bayes campaign` first"
-    AGAIN: ClassVar[str] = "run `shj-bayes tables` or `campaign` again"
 
     schema: Literal["shj-bayes/population/1"] = SCHEMA
     version: str

@@ -17,15 +17,17 @@ from shj_bayes._util.processes import program
 from shj_bayes.errors import ReportError
 from shj_bayes.recording.motion import Motion
 from shj_bayes.recording.recording import Recording
-from shj_bayes.report import numbers as n
-from shj_bayes.report.numbers import DeviceFigures
+from shj_bayes.report.numbers import DeviceFigures, cycle_marks
 from shj_bayes.report.page import is_ours
-from shj_bayes.report.words import force_unit, unit_for
+from shj_bayes.report.words import ForceUnit, force_unit, unit_for
 from shj_bayes.results.device import DeviceData, DiagnosisData
 
 MAX_POINTS = 16_000  # of all runs together: about 0.5 MB of page, more than any screen has points to show
 MOST = 6  # runs that can be looked into
 STEPS = 20_000  # of the range of a channel: finer than a screen, and coarse enough for short numbers
+FORCES = ("measured", "before", "after", "low", "high")
+# a run: places where cycles begin and the last one ends, turning points, channels by role
+Loops = tuple[str, IntArray, IntArray, dict[str, FloatArray]]
 
 
 def device_viewer(device: DeviceData, numbers: DeviceFigures) -> dict[str, Any]:
@@ -35,62 +37,41 @@ def device_viewer(device: DeviceData, numbers: DeviceFigures) -> dict[str, Any]:
     and force of one step), ``unit`` of the force, ``names`` of what is drawn, ``ink`` of the only law ("base" as on a
     diagnosis page, or "model"), ``cycle`` to show first.
     """
-    runs, unit = [], force_unit(device.record)
-    shown = list(zip(device.runs, numbers.bands, strict=True))[:MOST]
-    for run, band in shown:
-        marks = np.round(n.cycle_marks(run)).astype(np.int64)
-        channels = {
-            "t": run.time_s,
-            "x": run.displacement_mm,
-            "measured": unit.factor * run.force_kN,
-            "before": unit.factor * band.median,
-            "low": unit.factor * band.force_low,
-            "high": unit.factor * band.force_high,
-        }
-        runs.append(_run(f"run {run.number}", channels, marks, run.reversals, MAX_POINTS // len(shown)))
-    names = {"before": "model", "after": "", "band": "90 % of points expected"}
-    return _whole(runs, names, "model", unit.name)
+    runs: list[Loops] = []
+    for run, band in list(zip(device.runs, numbers.bands, strict=True))[:MOST]:
+        channels = {"t": run.time_s, "x": run.displacement_mm, "measured": run.force_kN}
+        channels |= {"before": band.median, "low": band.force_low, "high": band.force_high}
+        marks = np.round(cycle_marks(run)).astype(np.int64)
+        runs.append((f"run {run.number}", marks, run.reversals, channels))
+    return _viewer(runs, force_unit(device.record), {"before": "model", "after": "", "band": "90 % of points expected"})
 
 
 def diagnosis_viewer(data: DiagnosisData) -> dict[str, Any]:
     """Loops of a diagnosis, before and after; as `device_viewer`."""
-    which = np.unique(data.run)[:MOST]
-    runs, unit = [], unit_for(data.capacity_kN)
-    for run in which:
+    runs: list[Loops] = []
+    for run in np.unique(data.run)[:MOST]:
         mine = data.run == run
         turns = np.flatnonzero(np.diff(data.direction[mine])) + 1
         cycles = np.concatenate([[0], turns[::2], [int(mine.sum())]])  # whole loops, from one end of the stroke
-        channels = {
-            "t": data.time_s[mine],
-            "x": data.position_mm[mine],
-            "measured": unit.factor * data.force_kN[mine],
-            "before": unit.factor * data.before_kN[mine],
-        }
-        if data.changed:
-            channels["after"] = unit.factor * data.after_kN[mine]
-        runs.append(_run(f"run {run}", channels, cycles, turns, MAX_POINTS // which.size))
+        channels = {"t": data.time_s, "x": data.position_mm, "measured": data.force_kN, "before": data.before_kN}
+        channels |= {"after": data.after_kN} if data.changed else {}
+        runs.append((f"run {run}", cycles, turns, {role: values[mine] for role, values in channels.items()}))
     names = {"before": "base law", "after": "with what was found" if data.changed else "", "band": ""}
-    return _whole(runs, names, "base", unit.name)
+    return _viewer(runs, unit_for(data.capacity_kN), names, "base")
 
 
 def recording_viewer(
     runs: Sequence[tuple[Recording, Motion | None]], forces_kN: Sequence[FloatArray] = ()
 ) -> dict[str, Any]:
     """Loops of recordings, with the force of a model where there is one; as `device_viewer`."""
-    shown, out = runs[:MOST], []
-    unit = unit_for(max(float(np.abs(recording.force_kN).max()) for recording, _ in shown))
-    for i, (recording, motion) in enumerate(shown):
+    out: list[Loops] = []
+    for i, (recording, motion) in enumerate(runs[:MOST]):
         start = np.array([0, recording.n_samples]) if motion is None else motion.start
-        channels = {
-            "t": recording.time_s,
-            "x": recording.displacement_mm,
-            "measured": unit.factor * recording.force_kN,
-        }
-        if forces_kN:
-            channels["before"] = unit.factor * forces_kN[i]
-        marks = np.append(start[:-1:2], start[-1])
-        out.append(_run(f"run {i + 1}", channels, marks, start[1:-1], MAX_POINTS // len(shown)))
-    return _whole(out, {"before": "model", "after": "", "band": ""}, "model", unit.name)
+        channels = {"t": recording.time_s, "x": recording.displacement_mm, "measured": recording.force_kN}
+        channels |= {"before": forces_kN[i]} if forces_kN else {}
+        out.append((f"run {i + 1}", np.append(start[:-1:2], start[-1]), start[1:-1], channels))
+    unit = unit_for(max(float(np.abs(channels["measured"]).max()) for *_, channels in out))
+    return _viewer(out, unit, {"before": "model", "after": "", "band": ""})
 
 
 def thinning_words(viewer: Mapping[str, Any]) -> str:
@@ -102,45 +83,38 @@ def thinning_words(viewer: Mapping[str, Any]) -> str:
     return f"Every {every}{last} sample and every turning point is here; the calculation used them all."
 
 
-def _run(name: str, channels: Mapping[str, FloatArray], cycles: IntArray, turns: IntArray, most: int) -> dict[str, Any]:
-    """One run, thinned; `cycles` holds the places where cycles begin and the last one ends."""
-    size = channels["t"].size
-    every = max(1, math.ceil(size / most))
-    keep = np.unique(np.concatenate([np.arange(0, size, every), turns, [size - 1]]))
-    keep = keep[np.all([np.isfinite(values[keep]) for values in channels.values()], axis=0)]
-    places = np.unique(np.clip(np.searchsorted(keep, cycles), 0, keep.size))
-    if places.size < 2:
-        places = np.array([0, keep.size])
-    return {
-        "name": name,
-        "every": every,
-        "cycles": places.tolist(),
-        **{role: values[keep] for role, values in channels.items()},
-    }
-
-
-def _whole(runs: Sequence[dict[str, Any]], names: dict[str, str], ink: str, unit: str) -> dict[str, Any]:
-    """Channels as whole numbers of steps that all runs share, and the cycle of the first run to show first."""
-    forces = ("measured", "before", "after", "low", "high")
+def _viewer(runs: Sequence[Loops], unit: ForceUnit, names: dict[str, str], ink: str = "model") -> dict[str, Any]:
+    """Thin the channels of runs, and give them as whole numbers of steps that all runs share."""
+    thinned = []
+    for _, cycles, turns, channels in runs:
+        size = channels["t"].size
+        every = max(1, math.ceil(size / (MAX_POINTS // len(runs))))
+        keep = np.unique(np.concatenate([np.arange(0, size, every), turns, [size - 1]]))
+        keep = keep[np.all([np.isfinite(values[keep]) for values in channels.values()], axis=0)]
+        places = np.unique(np.clip(np.searchsorted(keep, cycles), 0, keep.size)).tolist()
+        kept = {role: (unit.factor if role in FORCES else 1.0) * values[keep] for role, values in channels.items()}
+        thinned.append((every, places if len(places) > 1 else [0, keep.size], kept))
     scale = {
-        "t": _step([run["t"] for run in runs]),
-        "x": _step([run["x"] for run in runs]),
-        "force": _step([run[role] for run in runs for role in forces if role in run]),
+        name: _step([values for *_, kept in thinned for role, values in kept.items() if role in roles])
+        for name, roles in (("t", ("t",)), ("x", ("x",)), ("force", FORCES))
     }
     out = []
-    for run in runs:
-        steps = {
-            role: np.round(values / scale["force" if role in forces else role]).astype(np.int64).tolist()
-            for role, values in run.items()
-            if isinstance(values, np.ndarray)
-        }
-        out.append({"name": run["name"], "every": run["every"], "cycles": run["cycles"], **steps})
-    return {"runs": out, "scale": scale, "names": names, "ink": ink, "cycle": _first_cycle(runs[0]), "unit": unit}
+    for (name, *_), (every, places, kept) in zip(runs, thinned, strict=True):
+        steps = {role: np.round(v / scale.get(role, scale["force"])).astype(int).tolist() for role, v in kept.items()}
+        out.append({"name": name, "every": every, "cycles": places, **steps})
+    _, places, first = thinned[0]
+    return {
+        "runs": out,
+        "scale": scale,
+        "names": names,
+        "ink": ink,
+        "cycle": _first_cycle([first["x"][a:b] for a, b in pairwise(places)]),
+        "unit": unit.name,
+    }
 
 
-def _first_cycle(run: Mapping[str, Any]) -> int:
-    """Last of the largest cycles that close; the largest where none does."""
-    parts = [run["x"][a:b] for a, b in pairwise(run["cycles"])]
+def _first_cycle(parts: Sequence[FloatArray]) -> int:
+    """Last of the largest cycles, by their displacements, that close; the largest where none does."""
     reach = np.array([float(np.ptp(part)) for part in parts])
     gap = np.array([abs(float(part[-1] - part[0])) for part in parts])
     closed = (reach >= 0.95 * reach.max()) & (gap <= 0.15 * reach)
@@ -169,14 +143,11 @@ def page_of(place: Path, which: str | None = None) -> Path:
     if not place.is_dir():
         raise ReportError(f"{place} is not a folder of results; name the one that was given to -o")
     found = {name: place / f"{name}.html" for name in PAGES if (place / f"{name}.html").is_file()}
-    if which in found:
-        return found[which]
-    there = (
-        f"it has {', '.join(found)}" if found else "it has none; run shj-bayes fit, diagnose, campaign or tables first"
-    )
-    if which is None and found:
-        return next(iter(found.values()))
-    raise ReportError(f"{place.name} holds no {which or 'page'}{'.html' if which else ''}; {there}")
+    if which in found or (which is None and found):
+        return found[which or next(iter(found))]
+    none = "none; run shj-bayes fit, diagnose, campaign or tables first"
+    wanted = f"{which}.html" if which else "page"
+    raise ReportError(f"{place.name} holds no {wanted}; it has {', '.join(found) or none}")
 
 
 def open_page(page: Path) -> bool:

@@ -16,67 +16,27 @@ from shj_bayes.model.curve import curve_named
 from shj_bayes.population.compare import Direction, compare
 from shj_bayes.population.device import Claim, Holding
 from shj_bayes.population.hierarchy import PopulationResult
-from shj_bayes.population.predict import (
-    RUN_FORCES,
-    SECOND_RUN,
-    LoopBand,
-    dep_words,
-    how_wide,
-    never_tested_words,
-    sets_suffice,
-)
+from shj_bayes.population.predict import dep_words, how_wide, never_tested_words, sets_suffice
 from shj_bayes.population.results import PopulationRecord, load_population
 from shj_bayes.report import sets, words
 from shj_bayes.report.campaign_physics import NUMBERS, certain, class_words, set_words, statement, statements, table
 from shj_bayes.report.diagnosis_words import along_words, percent
 from shj_bayes.report.figures import population as figures
 from shj_bayes.report.page import PAGE, Picture, write_page
-from shj_bayes.results.campaign import (
-    WITH_SET,
-    CampaignRecord,
-    DeviceEntry,
-    SetTogether,
-    SharedDependence,
-    read_campaign,
-)
+from shj_bayes.results.campaign import WITH_SET, CampaignRecord, DeviceEntry, SharedDependence, read_campaign
 from shj_bayes.results.device import DeviceResult
 from shj_bayes.results.diagnosis import CurveRecord, DependenceId, DiagnosisRecord, LeftOver
 from shj_bayes.results.fit import SummaryRecord
 from shj_bayes.results.store import DIAGNOSIS, find, has, read
 
-TITLES = {
-    "Fy": "Sliding force at standstill, first run",
-    SECOND_RUN: "Sliding force at standstill, second run",
-    "ratio": "Second run over first run",
-    **{force: f"Sliding force at standstill, run {force[-1]}" for force in RUN_FORCES if force != SECOND_RUN},
-    **{ratio: f"Run {ratio[-1]} over first run" for ratio in RUN_FORCES.values() if ratio != "ratio"},
-    "K": "Initial stiffness",
-    "gamma": "Speed coefficient",
-}
 PLACES = 61  # of a curve
 Curve = tuple[CurveRecord, bool]  # of a device, and whether it shows it alone
 Panel = tuple[str, SharedDependence, list[Curve]]  # set, class, curves of its devices
 MOST = 40  # curves in a panel, and panels in a picture
 
 
-def draw(
-    result: PopulationResult,
-    bands: Mapping[str, tuple[sets.SetBand, ...]],
-    motion: tuple[float, float],
-    curves: Sequence[CurveContrast] = (),
-) -> dict[str, Any]:
-    """All pictures of a population by place; `motion` is the amplitude, mm, and the peak speed, mm/s, of the loops."""
-    return {
-        "first": _bands(bands, "Fy") if "Fy" in bands else None,
-        "bands": [{"quantity": q, "picture": _bands(bands, q)} for q in bands if q != "Fy"],
-        "loops": _loops(sets.loop_bands(result, *motion)),
-        "curves": [_apart(curve) for curve in curves],
-    }
-
-
-def _bands(bands: Mapping[str, tuple[sets.SetBand, ...]], quantity: str) -> Picture:
-    rows = bands[quantity]
-    unit = "no unit" if rows[0].unit == "1" else rows[0].unit
+def _bands(quantity: str, rows: tuple[sets.SetBand, ...]) -> Picture:
+    unit, title = "no unit" if rows[0].unit == "1" else rows[0].unit, sets.title_of(quantity)
     caption = _ends(rows)
     if quantity == "Fy":
         caption = (
@@ -90,9 +50,9 @@ def _bands(bands: Mapping[str, tuple[sets.SetBand, ...]], quantity: str) -> Pict
         caption += " Lines that end in an arrow run off the sheet: hardly anything is known there."
     return Picture(
         figures.bands(rows, f"{sets.MEANING[quantity]} ({unit})"),
-        f"{TITLES[quantity]} of every set: the tested devices, and the band in which a new device is expected.",
+        f"{title} of every set: the tested devices, and the band in which a new device is expected.",
         caption,
-        TITLES[quantity],
+        title,
         wide=True,
     )
 
@@ -109,20 +69,6 @@ def _ends(rows: tuple[sets.SetBand, ...]) -> str:
     return f"Medians from {least.band[1]:.3g}{unit} ({least.name}) to {most.band[1]:.3g}{unit} ({most.name}). {text}"
 
 
-def _loops(bands: tuple[LoopBand, ...]) -> list[dict[str, Any]]:
-    """Loops of each set, of all its runs."""
-    found = groupby(bands, key=lambda band: band.set_name)
-    return [
-        {"address": figures.loop(parts), "name": sets.name_of(name), "runs": parts}
-        for name, parts in ((name, list(group)) for name, group in found)
-    ]
-
-
-def _apart(curve: CurveContrast) -> dict[str, Any]:
-    title = coordinate_named(curve.coordinate).title
-    return {"address": figures.apart(curve), "of": curve, "title": title, "words": sets.curve_words(curve)}
-
-
 def population_content(
     result: PopulationResult,
     intervals: Mapping[tuple[str, str], Mapping[str, sets.Interval]],
@@ -130,17 +76,36 @@ def population_content(
     curves: Sequence[CurveContrast] = (),
     forces: PopulationResult | None = None,
 ) -> dict[str, Any]:
-    """Everything about the sets, plain values and pictures; `forces` are those that the devices made, pooled."""
+    """Everything about the sets, plain values and pictures.
+
+    `motion` is the amplitude, mm, and the peak speed, mm/s, of the loops; `forces` are those that the devices made,
+    pooled.
+    """
     bands = sets.set_bands(result, intervals)
     amplitude, speed = motion
     if forces is not None and forces.set_names != result.set_names:
         forces = None  # not every set gives them
     names = [q for q in sets.FORCES if forces is not None and q in forces.posteriors]
     names += [q for q in bands if q in result.posteriors]
+    loops = groupby(sets.loop_bands(result, *motion), key=lambda band: band.set_name)
     return {
         "quantities": [{"name": q, "meaning": sets.MEANING[q], "unit": rows[0].unit} for q, rows in bands.items()],
         "table": _table(bands),
-        **draw(result, bands, motion, curves),
+        "first": _bands("Fy", bands["Fy"]) if "Fy" in bands else None,
+        "bands": [{"quantity": q, "picture": _bands(q, rows)} for q, rows in bands.items() if q != "Fy"],
+        "loops": [
+            {"address": figures.loop(runs), "name": sets.name_of(name), "runs": runs}
+            for name, runs in ((name, list(group)) for name, group in loops)
+        ],
+        "curves": [
+            {
+                "address": figures.apart(curve),
+                "of": curve,
+                "title": coordinate_named(curve.coordinate).title,
+                "words": sets.curve_words(curve),
+            }
+            for curve in curves
+        ],
         "motion": f"{words.short(amplitude)} mm at a peak speed of {words.short(speed)} mm/s",
         "wide": [how_wide(result, row.set_name) for row in bands.get("Fy", ())],
         "untested": "" if sets_suffice(len(result.sets)) else never_tested_words(len(result.sets)),
@@ -182,20 +147,18 @@ def tested_motion(folder: Path) -> tuple[float, float] | None:
 
 def _table(bands: Mapping[str, tuple[sets.SetBand, ...]]) -> list[dict[str, Any]]:
     """One row per set: a new device in every quantity."""
+    second = {b.name: f"{100 * b.band[0]:.0f} to {100 * b.band[2]:.0f} %" for b in bands.get("ratio", ())}
     rows: dict[str, dict[str, Any]] = {}
     for quantity, of_sets in bands.items():
         for band in of_sets:
-            head = {"set": band.set_name, "name": band.name, "n": band.n_devices, "cells": {}}
-            row = rows.setdefault(band.set_name, head)
             low, middle, high = band.band
+            head = {"set": band.set_name, "name": band.name, "n": 0, "cells": {}, "second": second.get(band.name, "")}
+            row = rows.setdefault(band.set_name, head)
             row["n"] = max(row["n"], band.n_devices)
             # Band of gamma as dep, short enough for a cell.
             dep = "dep open" if low <= 0 <= high else f"dep {dep_words(low, high)}"
             dep = dep if quantity == "gamma" else ""
             row["cells"][quantity] = {"low": low, "middle": middle, "high": high, "dep": dep}
-    second = {b.name: f"{100 * b.band[0]:.0f} to {100 * b.band[2]:.0f} %" for b in bands.get("ratio", ())}
-    for row in rows.values():
-        row["second"] = second.get(row["name"], "")
     return list(rows.values())
 
 
@@ -231,14 +194,13 @@ def _contrast(a: str, b: str, forces: PopulationResult | None, result: Populatio
     return {"pair": f"{a} against {b}", "cells": cells, "sentence": sentence}
 
 
-def pictures(folder: Path, together: Sequence[SetTogether], with_set: Mapping[str, bool]) -> list[Picture]:
-    """Draw one picture for each class that some set has: a panel for each set, a curve for each device.
-
-    `with_set` says, for the folder of each device, whether it has a usable fit with what its set has.
-    """
+def pictures(folder: Path, record: CampaignRecord) -> list[Picture]:
+    """Draw one picture for each class that some set has: a panel for each set, a curve for each device."""
+    with_set = {device.folder: device.usable_with_set for _, device in record.devices}
     by_class: dict[DependenceId, list[Panel]] = {}
-    for group in together:
-        for row in group.classes if group.set else ():
+    for group in record.together:
+        known = group.set and all(place in with_set for place in group.devices)
+        for row in group.classes if known else ():
             if not certain(row) or row.action == "motion":
                 continue
             places = [(i, group.devices[i]) for i in row.holders[:MOST]]
@@ -266,29 +228,24 @@ def _curve(place: Path, row: SharedDependence, i: int, with_set: bool) -> Curve 
     None where neither holds one.
     """
     try:
-        if with_set and curve_named(row.effects[i]) is not None:
-            found, alone = _of_fit(place, row, row.effects[i]), row.alone[i]
-        else:
-            known, alone = read(DiagnosisRecord, place / DIAGNOSIS).coordinates, True
-            own = (row.action, row.coordinate, "both")
+        effect = row.effects[i]
+        curve = curve_named(effect) if with_set else None
+        if curve is None:
+            known, own = read(DiagnosisRecord, place / DIAGNOSIS).coordinates, (row.action, row.coordinate, "both")
             found = next((c.curve for c in known if (c.action, c.coordinate, c.direction) == own and c.curve), None)
+            return (found, True) if found else None
+        fit = DeviceResult.read(place / WITH_SET)
+        if curve.sides or effect not in fit.record.model.effects:
+            return None
+        coefficients = np.stack([fit.draws[f"{effect}.c{k}"] for k in range(1, curve.n + 1)])
+        share = np.linspace(0.0, 1.0, PLACES)
+        at = curve.over.value_of(share, DeviceResult.read(place).histories[0])
+        values = 100.0 * curve.rows(share, np.ones(PLACES)) @ coefficients
     except (ShjError, OSError, KeyError, TypeError, ValueError):  # a damaged file: the page goes without that curve
         return None
-    return None if found is None else (found, alone)
-
-
-def _of_fit(place: Path, row: SharedDependence, effect: str) -> CurveRecord | None:
-    """Curve of a device's fit with what its set has, from its posterior; None where that does not hold it."""
-    curve, fit = curve_named(effect), DeviceResult.read(place / WITH_SET)
-    if curve is None or curve.sides or effect not in fit.record.model.effects:
-        return None
-    history = DeviceResult.read(place).histories[0]
-    coefficients = np.stack([fit.draws[f"{effect}.c{k}"] for k in range(1, curve.n + 1)])
-    share = np.linspace(0.0, 1.0, PLACES)
-    values = 100.0 * curve.rows(share, np.ones(PLACES)) @ coefficients
-    bands = (curve.over.value_of(share, history), values.mean(axis=1), *np.quantile(values, [0.05, 0.95], axis=1))
-    at, mean, low, high = (tuple(band.tolist()) for band in bands)
-    return CurveRecord(at=at, mean=mean, q05=low, q95=high, unit=row.unit)
+    bands = (at, values.mean(axis=1), *np.quantile(values, [0.05, 0.95], axis=1))
+    places, mean, low, high = (tuple(band.tolist()) for band in bands)
+    return CurveRecord(at=places, mean=mean, q05=low, q95=high, unit=row.unit), row.alone[i]
 
 
 MARGINS = "margins.html"  # sheet of `shj-bayes margins`, linked where it is
@@ -308,13 +265,14 @@ def render_campaign(
     of ``margins.json`` for the tests themselves.
     `ReportError` if the folder holds no readable ``campaign.json``.
     """
-    record = read_campaign(folder)
+    record, margins = read_campaign(folder), margins or {}
     if population is None and has(PopulationRecord, folder):
         population = load_population(folder)
     devices = [device_row(folder, set_name, device) for set_name, device in record.devices]
     done = [d for d in devices if d["status"] != "failed"]
     intervals = {(d["set"], d["name"]): d["intervals"] for d in done}
     motion = next((m for d in done if d["link"] and (m := tested_motion(folder / d["folder"]))), PUBLISHED_MOTION)
+    shared = table(record.together)
     content = {
         "name": record.name,
         "simulated": record.simulated,
@@ -322,25 +280,19 @@ def render_campaign(
         "devices": devices,
         "notes": [(group.name, group.note) for group in record.sets if group.note],
         "done": done,
-        "delivered": delivered(margins or {}),
-        "fastest": ((margins or {}).get("tested") or {}).get("fastest_mm_s"),
+        "delivered": delivered(margins),
+        "fastest": (margins.get("tested") or {}).get("fastest_mm_s"),
         "population": population_content(population, intervals, motion, curves, forces) if population else None,
         "margins": MARGINS if (folder / MARGINS).exists() else "",
-        "physics": _physics(folder, record),
+        "physics": shared
+        and {
+            "said": statements(record.together),
+            "table": shared,
+            "percent": percent,
+            "pictures": pictures(folder, record),
+        },
     }
     return write_page(folder, "campaign.html", content, name=PAGE)
-
-
-def _physics(folder: Path, record: CampaignRecord) -> dict[str, Any] | None:
-    """Give what sets have in common; None where no device was diagnosed."""
-    found = table(record.together)
-    if found is None:
-        return None
-    with_set = {device.folder: device.usable_with_set for _, device in record.devices}
-    known = [group for group in record.together if all(place in with_set for place in group.devices)]
-    drawn = pictures(folder, known, with_set)
-    said = statements(record.together)
-    return {"said": said, "table": found, "percent": percent, "pictures": drawn}
 
 
 def render_tables(
@@ -363,28 +315,28 @@ def render_tables(
 
 def device_row(folder: Path, set_name: str, device: DeviceEntry) -> dict[str, Any]:
     """One device of the list: numbers where it was fitted, the reason where it was not."""
-    place = device.folder
+    pages = {
+        "link": (PAGE, ""),
+        "diagnosis_link": (f"{DIAGNOSIS}/diagnosis.html", device.diagnosis or "off"),
+        "with_set_link": (f"{WITH_SET}/{PAGE}", device.with_set or "off"),
+    }
     row: dict[str, Any] = {
         **vars(device),
-        **dict.fromkeys(("link", "diagnosis_link", "with_set_link", "grade", "residual"), ""),
+        **dict.fromkeys((*pages, "grade", "residual"), ""),
         "set": set_name,
         "numbers": {},
         "intervals": {},
         "trouble": "; ".join(filter(None, (device.diagnosis_reason, device.with_set_reason))),
     }
-    if row["status"] == "failed":
+    if device.status == "failed":
         return row
-    pages = {"link": PAGE, "diagnosis_link": f"{DIAGNOSIS}/diagnosis.html", "with_set_link": f"{WITH_SET}/{PAGE}"}
-    for key, page in pages.items():
-        if (key == "link" or row[key.removesuffix("_link")] not in ("", "off", "failed")) and (
-            folder / place / page
-        ).exists():
-            row[key] = quote(f"{place}/{page}")
-    table = find(SummaryRecord, folder / place)
-    for parameter in table.parameters if table else ():
-        row["intervals"][parameter.name] = (parameter.q05, parameter.q50, parameter.q95)
-        row["numbers"][parameter.name] = parameter
-    left = find(LeftOver, folder / place)
+    for key, (page, verdict) in pages.items():
+        if verdict not in ("off", "failed") and (folder / device.folder / page).exists():
+            row[key] = quote(f"{device.folder}/{page}")
+    summary, left = find(SummaryRecord, folder / device.folder), find(LeftOver, folder / device.folder)
+    if summary:
+        row["numbers"] = {parameter.name: parameter for parameter in summary.parameters}
+        row["intervals"] = {name: (p.q05, p.q50, p.q95) for name, p in row["numbers"].items()}
     if left:
         row["grade"], row["residual"] = left.grade, words.left_cell(left)
     return row

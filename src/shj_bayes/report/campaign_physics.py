@@ -83,34 +83,28 @@ def set_words(set_name: str) -> str:
 def table(together: Iterable[SetTogether]) -> dict[str, Any] | None:
     """Tabulate every class that is not excluded in some set, or that a device shows alone; None without diagnoses."""
     groups = [group for group in together if group.classes]
-    if not groups:
-        return None
     by_class: dict[DependenceId, dict[str, SharedDependence]] = {}
     for group in groups:
-        for one in group.classes:
-            by_class.setdefault(one.id, {})[group.set] = one
-    kept = {
-        one: own
-        for one, own in by_class.items()
-        if any(row.probability >= ALPHA or any(row.alone) for row in own.values())
-    }
-    order = sorted(kept, key=lambda one: (-max(row.probability for row in kept[one].values()), str(one)))
+        for shared in group.classes:
+            by_class.setdefault(shared.id, {})[group.set] = shared
+    kept, excluded = [], dict[str, list[str]]()  # classes by what they act on
+    for key in sorted(by_class, key=str):
+        rows = by_class[key].values()
+        if any(row.probability >= ALPHA or any(row.alone) for row in rows):
+            kept.append((max(row.probability for row in rows), key))
+        else:
+            word = PLAIN.get(key) or over_words(key.coordinate)
+            excluded.setdefault(ACTS.get(key.action, key.action), []).append(word)
+    kept.sort(key=lambda found: -found[0])
+    if not groups:
+        return None
     return {
         "sets": [{"name": group.set or ALL, "n": len(group.devices)} for group in groups],
         "classes": [
-            {"words": class_words(one), "cells": [kept[one].get(group.set) for group in groups]} for one in order
+            {"words": class_words(key), "cells": [by_class[key].get(group.set) for group in groups]} for _, key in kept
         ],
-        "excluded": _by_action([one for one in sorted(by_class, key=str) if one not in kept]),
+        "excluded": excluded,
     }
-
-
-def _by_action(classes: Iterable[DependenceId]) -> dict[str, list[str]]:
-    """Name classes by what they act on."""
-    out: dict[str, list[str]] = {}
-    for one in classes:
-        word = PLAIN.get(one) or over_words(one.coordinate)
-        out.setdefault(ACTS.get(one.action, one.action), []).append(word)
-    return out
 
 
 def _count(n: int) -> str:

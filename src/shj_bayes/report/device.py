@@ -1,6 +1,5 @@
 """The page of one device."""
 
-from collections.abc import Collection
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,12 +16,12 @@ from shj_bayes.population.quantities import LEVELS
 from shj_bayes.report import words
 from shj_bayes.report.browse import device_viewer, thinning_words
 from shj_bayes.report.figures.device import draw
-from shj_bayes.report.numbers import DeviceFigures, left_over, numbers_of
+from shj_bayes.report.numbers import Beforehand, DeviceFigures, left_over, numbers_of
 from shj_bayes.report.page import LOOPS, PAGE, write_page
 from shj_bayes.report.words import ForceUnit, force_unit
-from shj_bayes.results.device import DeviceData, RunData, read_device
+from shj_bayes.results.device import DeviceData, read_device
 from shj_bayes.results.diagnosis import LeftOver
-from shj_bayes.results.fit import FitRecord, ParameterRow, PriorRecord, RunInput, Trust, ZeroError
+from shj_bayes.results.fit import FitRecord, ParameterRow, Trust
 from shj_bayes.results.store import diagnosis_in, write
 
 
@@ -46,22 +45,30 @@ def content(device: DeviceData, numbers: DeviceFigures, left: LeftOver) -> dict[
     """Everything on the page but the pictures, as plain values."""
     record, unit = device.record, force_unit(device.record)
     units = {row.name: unit.of(row.unit) for row in record.parameters}
-    unknown, family = record.undetermined, record.model.priors
+    rows = list(map(unit.row, record.parameters))
     gamma = record.parameter("gamma") or record.parameter("velocity.size")
     peaks = [float(e.peak_speed_mm_s.max()) for e in numbers.cycles if e.peak_speed_mm_s.size]
     peak = numbers.one_speed or max(peaks, default=float(max(run.speed_mm_s.max() for run in device.runs)))
     return {
-        "name": device.name,
+        "name": record.device,
         "simulated": any(entry.simulated for entry in record.inputs),
         "badges": badges(record, left),
-        "remarks": [words.remark(r, *units[r.parameter], family=family) for r in record.remarks],
+        "remarks": [words.remark(r, *units[r.parameter], family=record.model.priors) for r in record.remarks],
         "doubtful": left.grade in ("fair", "poor") and not left.diagnosed,
-        "cards": cards(device, numbers.one_speed is not None, unknown),
-        "rows": [parameter_row(row, row.name in unknown) for row in map(unit.row, record.parameters)],
+        "cards": cards(record, rows, numbers.one_speed is not None),
+        "rows": [
+            vars(row)
+            | {
+                "meaning": meaning_of(row.name).meaning,
+                "unknown": row.name in record.undetermined,
+                "speed": base_of(row.name) == "gamma",
+            }
+            for row in rows
+        ],
         "alias": words.alias_words(numbers.one_speed),
         "speed": words.speed_words(gamma, peak),
         "peak_speed": words.short(peak),
-        "runs": [run_row(run, entry, unit) for run, entry in zip(device.runs, record.inputs, strict=True)],
+        "runs": run_rows(device, unit),
         "findings": [vars(f) | {"run": i} for i, entry in enumerate(record.inputs, start=1) for f in entry.findings],
         "energy": energy_words(numbers),
         "losses": loss_words(device, numbers),
@@ -69,9 +76,14 @@ def content(device: DeviceData, numbers: DeviceFigures, left: LeftOver) -> dict[
         "law_width": unit.factor * max(band.law_width_kN for band in numbers.bands),
         "friction": any("tension" in run.extras for run in device.runs),
         "freed": freed_words(device),
-        "before": before_words(numbers, unit),
+        "before": before_words(numbers.before, unit),
         "force_unit": unit.name,
-        "priors": [prior_row(device, law, unit) for law in record.prior_laws],
+        "priors": [
+            (law, *unit.of(law.unit), np.quantile(device.prior[law.name], LEVELS), after)
+            for law in record.prior_laws
+            for after in rows
+            if after.name == law.name
+        ],
         "made": _day(record.created),
         "model": replace(record.model, variant=variant_named(record.model.variant)),
         "record": record,
@@ -99,17 +111,15 @@ def freed_words(device: DeviceData) -> list[str]:
         base, _, run = name.partition("_")
         if base not in ("K", "beta", "gamma") or not run:
             continue
-        first, additive = device.draws[base], base == "gamma"
-        change = later - first if additive else later / first
+        change, none, unit, how = later / device.draws[base], 1, "", "over"
+        if base == "gamma":
+            change, none, unit, how = later - device.draws[base], 0, " s/mm", "less"
         low, high = np.quantile(change, [0.05, 0.95])
-        unit = " s/mm" if additive else ""
-        what = f"{base}, run {run} {'less' if additive else 'over'} run 1"
-        none = 0.0 if additive else 1.0
+        verdict = f"no change ({none}) is outside it: {base} changed between the runs"
         if low <= none <= high:
-            verdict = f"no change ({none:g}) is within it: this test does not show that {base} changed"
-        else:
-            verdict = f"no change ({none:g}) is outside it: {base} changed between the runs"
-        out.append(f"{what}: 90 % interval {words.short(low)} to {words.short(high)}{unit}; {verdict}.")
+            verdict = f"no change ({none}) is within it: this test does not show that {base} changed"
+        between = f"{words.short(low)} to {words.short(high)}{unit}"
+        out.append(f"{base}, run {run} {how} run 1: 90 % interval {between}; {verdict}.")
     return out
 
 
@@ -127,65 +137,36 @@ def badges(record: FitRecord, left: LeftOver) -> list[dict[str, str]]:
     ]
 
 
-def cards(device: DeviceData, one_speed: bool, unknown: Collection[str]) -> list[dict[str, str]]:
+def cards(record: FitRecord, rows: list[ParameterRow], one_speed: bool) -> list[dict[str, str]]:
     """Give the numbers that matter, for the first screen; of what the data do not determine, no number."""
-    out = []
-    rows = {row.name: row for row in map(force_unit(device.record).row, device.record.parameters)}
+    out, by_name = [], {row.name: row for row in rows}
     for name in ("K", "Fy", "beta", "gamma", "ratio"):
-        row = rows.get(name)
+        row = by_name.get(name)
         if row is None:
             continue
-        card = {"name": name, "meaning": meaning_of(name).meaning, "unit": "" if row.unit == "1" else row.unit}
-        if name in unknown:
-            out.append(card | {"value": "not determined", "exact": "", "unit": "", "interval": "", "note": ""})
-            continue
-        note = words.dep_words(row.q05, row.q95) if name == "gamma" else ""
-        note += "; one peak speed only: it may be place, not speed" if name == "gamma" and one_speed else ""
-        shown = {"value": words.rounded(row.q50, row.sd), "exact": repr(row.q50)}
-        out.append(card | shown | {"interval": words.interval(row), "note": note})
+        card = dict.fromkeys(("exact", "unit", "interval", "note"), "")
+        card |= {"name": name, "meaning": meaning_of(name).meaning, "value": "not determined"}
+        if name not in record.undetermined:
+            note = words.dep_words(row.q05, row.q95) if name == "gamma" else ""
+            card |= {"unit": "" if row.unit == "1" else row.unit, "interval": words.interval(row)}
+            card |= {"value": words.rounded(row.q50, row.sd), "exact": repr(row.q50)}
+            card["note"] = note + ("; one peak speed only: it may be place, not speed" if note and one_speed else "")
+        out.append(card)
     return out
 
 
-def parameter_row(row: ParameterRow, unknown: bool) -> dict[str, Any]:
-    """One row of the parameter table."""
-    speed = base_of(row.name) == "gamma"
-    return vars(row) | {"meaning": meaning_of(row.name).meaning, "unknown": unknown, "speed": speed}
-
-
-def prior_row(device: DeviceData, law: PriorRecord, unit: ForceUnit) -> dict[str, str]:
-    """One parameter before and after the test."""
-    shown, factor = unit.of(law.unit)
-    low, middle, high = factor * np.quantile(device.prior[law.name], LEVELS)
-    coarse = (high - low) / 10  # the middle of some draws: no more digits than their range makes meaningful
-    return {
-        "name": law.name,
-        "unit": "" if shown == "1" else shown,
-        "before": f"{words.short(low)} to {words.short(high)}",
-        "middle": words.rounded(middle, coarse).replace("-0.000", "0.000"),
-        "after": words.interval(unit.row(next(row for row in device.record.parameters if row.name == law.name))),
-        "law": f"{law.law} ({law.a:g}, {law.b:g})",
-        "source": law.source,
-    }
-
-
-def run_row(run: RunData, entry: RunInput, unit: ForceUnit) -> dict[str, Any]:
-    """One recording, for the table of what was tested."""
-    x, force = run.displacement_mm, unit.factor * run.force_kN
-    return vars(entry) | {
-        "number": run.number,
-        "unused": entry.n_samples - int(np.count_nonzero(run.used)),
-        "stroke_mm": (x.min(), x.max()),
-        "force": (force.min(), force.max()),
-        "zero": _zero(entry.zero_error_kN, unit),
-    }
-
-
-def _zero(error_kN: ZeroError | None, unit: ForceUnit) -> str:
-    """Say what the load cell reads at no load; nothing in results that do not state it."""
-    if error_kN is None:
-        return ""
-    mean, sd = unit.factor * error_kN.mean, unit.factor * error_kN.sd
-    return f"the load cell reads {mean:+.2g} ± {sd:.1g} {unit.name} at no load"
+def run_rows(device: DeviceData, unit: ForceUnit) -> list[dict[str, Any]]:
+    """Each recording, for the table of what was tested."""
+    out = []
+    for run, entry in zip(device.runs, device.record.inputs, strict=True):
+        x, force, zero = run.displacement_mm, unit.factor * run.force_kN, entry.zero_error_kN
+        row = vars(entry) | {"number": run.number, "unused": entry.n_samples - int(np.count_nonzero(run.used))}
+        row |= {"stroke_mm": (x.min(), x.max()), "force": (force.min(), force.max()), "zero": ""}
+        if zero is not None:  # results of earlier versions do not state it
+            mean, sd = unit.factor * zero.mean, unit.factor * zero.sd
+            row["zero"] = f"the load cell reads {mean:+.2g} ± {sd:.1g} {unit.name} at no load"
+        out.append(row)
+    return out
 
 
 def energy_words(numbers: DeviceFigures) -> str:
@@ -204,20 +185,20 @@ def energy_words(numbers: DeviceFigures) -> str:
     )
 
 
-def before_words(numbers: DeviceFigures, unit: ForceUnit) -> str:
+def before_words(b: Beforehand, unit: ForceUnit) -> str:
     """Say what the priors allow, beside what was found."""
-    b, k = numbers.before, unit.factor
+    k, n = unit.factor, b.paper_kN.shape[0]
     text = (
         f"One cycle of {words.short(b.amplitude_mm)} mm at a peak speed of {words.short(b.peak_speed_mm_s)} mm/s. "
         f"Before the test, the largest force was held to lie between {words.short(k * b.prior_range_kN[0])} and "
         f"{words.short(k * b.prior_range_kN[1])} {unit.name} (90 %); after it, between "
         f"{k * b.posterior_range_kN[0]:.4g} and {k * b.posterior_range_kN[1]:.4g} {unit.name}."
     )
-    if b.paper_range_kN:
-        n = b.paper_kN.shape[0]
+    if n:
+        reached = k * np.abs(b.paper_kN).max(axis=1)
         text += (
-            f" The published devices of Tables 3 to 7 would reach {words.short(k * b.paper_range_kN[0])} to "
-            f"{words.short(k * b.paper_range_kN[1])} {unit.name}: "
+            f" The published devices of Tables 3 to 7 would reach {words.short(reached.min())} to "
+            f"{words.short(reached.max())} {unit.name}: "
             f"{'all' if b.paper_inside == n else b.paper_inside} of their {n} loops lie within the central "
             "98 % of what the priors allow, so the priors leave room for devices of this kind."
         )

@@ -73,6 +73,7 @@ COORDINATES = {  # where what is said of a dependence is not the title of a coor
     "reversal": "the rule at reversals",
     "stick-slip": "stick and slip",
 }
+ACTS = {"capacity": "sliding force", "added": "added force"}  # what a dependence acts on; else the motion
 NOT_DETERMINED = "not determined"
 LIKELY, LIMIT = 0.5, 0.05  # probabilities from which a dependence is stated, and mentioned
 
@@ -139,47 +140,40 @@ def verdict_words(record: DiagnosisRecord) -> tuple[str, str, str]:
 
 def sentences(record: DiagnosisRecord) -> list[str]:
     """Say what a diagnosis found, the verdict left out: each mechanism, what it may also be, what has no name."""
-    found, verdict = record.effects, record.verdict
-    out = []
-    for e in found:
+    out, verdict, nothing = [], record.verdict, record.nothing_missing
+    for e in record.effects:
         # Of several effects the first screen names each; their causes stand where each is described. What may be
         # another effect has no cause yet, and nothing to be done about it.
-        told = len(found) == 1 and verdict == DiagnosisVerdict.NAMED and e.cause
-        cause = f" Likely cause: {e.cause}" if told else ""
-        lead = (
-            "A part of it: "
-            if e.partial
-            else "Most probable: "
-            if verdict == DiagnosisVerdict.FAMILY and (e.rivals or record.nothing_missing)
-            else ""
-        )
-        out.append(spaced(f"{lead}{e.statement}{cause}"))
+        told = len(record.effects) == 1 and verdict == DiagnosisVerdict.NAMED and e.cause
+        open_ = verdict == DiagnosisVerdict.FAMILY and (e.rivals or nothing)
+        lead = "A part of it: " if e.partial else "Most probable: " if open_ else ""
+        out.append(spaced(f"{lead}{e.statement}{f' Likely cause: {e.cause}' if told else ''}"))
     if verdict == DiagnosisVerdict.FAMILY:
         members = [f"{title_of(m.id).lower()} ({percent(m.probability)})" for m in record.family]
-        if nothing := record.nothing_missing:
-            members.append(f"{NOTHING_MISSING} ({percent(nothing)})")
-        lead = "Not excluded" if found and len(members) == 1 else "These recordings cannot tell"
+        members += [f"{NOTHING_MISSING} ({percent(nothing)})"] if nothing else []
+        lead = "Not excluded" if record.effects and len(members) == 1 else "These recordings cannot tell"
         out.append(f"{lead}: {', or '.join(members)}.")
     for c in record.coordinates:
         if not c.matches and c.probability >= LIKELY:
             out.append(f"{curve_words(c)} No known mechanism has this curve.")
-    out += dropped_words(record)
-    out += fluctuation_words(record)
-    out += channel_words(record)
+    for one in record.heldout.dropped:
+        of, errors = DependenceId.read(one.class_), (number(one.without_kN), number(one.with_kN))
+        told = f" ({' to '.join(map(words.short, errors))} kN)" if all(map(math.isfinite, errors)) else ""
+        out.append(
+            f"Excluded: a dependence of the {ACTS.get(of.action, 'motion')} on {over_words(of.coordinate)} fits these "
+            f"recordings, but does not improve cycles that were left out{told}."
+        )
+    out += fluctuation_words(record) + channel_words(record)
     if verdict == DiagnosisVerdict.UNKNOWN:
-        left = record.left_over_percent or 0.0
-        if left >= 1.0:
+        if (left := record.left_over_percent or 0.0) >= 1.0:
             out.append(f"What is left beside what was found reaches {per_cent(left / 100)} % of the sliding force.")
-        if record.unknown and record.unknown.words:
-            out.append(record.unknown.words)
+        out += [record.unknown.words] if record.unknown and record.unknown.words else []
     gamma = record.shift.get("gamma")
     if gamma and record.modelled:
         before, after = (f"{stage.mean:+.4f}" for stage in (gamma.before, gamma.after))
         if float(before) != float(after):
             out.append(f"Including this changes gamma from {before} to {after} s/mm.")
-    if record.next_test:
-        out.append(f"Next test: {record.next_test}")
-    return out
+    return [*out, f"Next test: {record.next_test}"] if record.next_test else out
 
 
 def shift_lines(record: DiagnosisRecord) -> list[str]:
@@ -225,21 +219,6 @@ def curve_words(c: DependenceRecord) -> str:
     over = f"every {c.period:.3g} {c.unit}, again and again" if c.period is not None else "over what was tested"
     much = f": it changes by {per_cent(size / 100)} % of Fy {over}" if size is not None else ""
     return f"{what}{way_words(c)} depends on {over_words(c.coordinate)}{much}."
-
-
-def dropped_words(record: DiagnosisRecord) -> list[str]:
-    """Say what was found and left out again, as it does not improve cycles that were not fitted."""
-    out = []
-    for one in record.heldout.dropped:
-        of = DependenceId.read(one.class_)
-        errors = [number(one.without_kN), number(one.with_kN)]
-        told = f" ({' to '.join(map(words.short, errors))} kN)" if all(map(math.isfinite, errors)) else ""
-        what = {"capacity": "sliding force", "added": "added force"}.get(of.action, "motion")
-        out.append(
-            f"Excluded: a dependence of the {what} on {over_words(of.coordinate)} fits these recordings, but does not "
-            f"improve cycles that were left out{told}."
-        )
-    return out
 
 
 def fluctuation_words(record: DiagnosisRecord) -> list[str]:
@@ -300,30 +279,27 @@ def chance_words(record: DiagnosisRecord) -> str:
 
 def cards(data: DiagnosisData) -> list[dict[str, str]]:
     """Give the numbers of the first screen: parameters before and after, held-out error, chance."""
-    out = []
+    record, force, rows, out = data.record, unit_of(data), shift_rows(data), []
+
+    def card(what: str, before: str, after: str, unit: str, note: str) -> None:
+        out.append({"what": what, "before": before if data.changed else "", "after": after, "unit": unit, "note": note})
+
     for name in ("gamma", "Fy"):
-        row = shift_rows(data).get(name)
-        if row is None:
-            continue
-        note = f"Spread {spread(row['before'])} before, {spread(row['after'])} after."
-        if not data.changed:
-            said = dep(row["after"])
-            note = f"{said[:1].upper()}{said[1:]}." if name == "gamma" else f"Spread {spread(row['after'])}."
-        title = f"{name}: {meaning_of(name).meaning}"
-        out.append(_card(title, value(row["before"]), value(row["after"]), row["unit"], note))
-    stages = data.record.before, data.record.after
-    before, after = (words.short(stage.heldout_rmse_kN * unit_of(data).factor) for stage in stages)
-    floor = unit_of(data).shown(data.record.after.noise_kN)
+        if row := rows.get(name):
+            note = f"Spread {spread(row['before'])} before, {spread(row['after'])} after."
+            if not data.changed:
+                said = dep(row["after"])
+                note = f"{said[:1].upper()}{said[1:]}." if name == "gamma" else f"Spread {spread(row['after'])}."
+            card(f"{name}: {row['meaning']}", value(row["before"]), value(row["after"]), row["unit"], note)
+    before, after = (words.short(stage.heldout_rmse_kN * force.factor) for stage in (record.before, record.after))
     # Where no effect takes up the whole, the scatter about the law holds the misfit too: it must not pass for noise.
-    misfit = data.record.verdict == DiagnosisVerdict.UNKNOWN
-    noise = "This holds what no effect explains, beside the noise." if misfit else f"Noise: {floor}."
-    noise += worse_words(data.record)
-    out.append(_card("Error on cycles that were held out", before, after, unit_of(data).name, noise))
-    if not data.changed:
-        out = [card | {"before": ""} for card in out]
-    if chance := chance_words(data.record):
+    misfit = record.verdict == DiagnosisVerdict.UNKNOWN
+    noise = f"Noise: {force.shown(record.after.noise_kN)}."
+    noise = "This holds what no effect explains, beside the noise." if misfit else noise
+    card("Error on cycles that were held out", before, after, force.name, noise + worse_words(record))
+    if chance := chance_words(record):
         note = "An upper limit, corrected for everything that was tried. Small: something is missing."
-        out.append(_card("Chance of so large a misfit if nothing were missing", "", chance, "", note))
+        card("Chance of so large a misfit if nothing were missing", "", chance, "", note)
     return out
 
 
@@ -340,12 +316,27 @@ def with_share(kN: float | None, whole: float, force: ForceUnit) -> str:
 
 
 def shift_rows(data: DiagnosisData) -> dict[str, dict[str, Any]]:
-    """Give unit, before and after of each parameter, in the units that are shown."""
-    return {
-        name: {"unit": unit_of(data).of(unit(name))[0]}
-        | {stage: unit_of(data).row(EffectParameter(**vars(own), unit=unit(name))) for stage, own in vars(row).items()}
-        for name, row in data.record.shift.items()
-    }
+    """Give meaning, unit, before, after and change of each parameter, in the units that are shown.
+
+    The change is in per cent, but of gamma, which may be 0, the difference. A name that this version does not know has
+    neither meaning nor unit.
+    """
+    force, out = unit_of(data), {}
+    for name, shift in data.record.shift.items():
+        try:
+            known = meaning_of(name)
+            meaning, unit = known.meaning, "" if known.unit == "1" else known.unit
+        except ModelError:
+            meaning, unit = "", ""
+        before, after = (force.row(EffectParameter(**vars(own), unit=unit)) for own in (shift.before, shift.after))
+        moved, share = after.mean - before.mean, base_of(name) != "gamma" and before.mean != 0
+        size, form, least = (100 * moved / before.mean, "+.1f", 0.05) if share else (moved, "+.2g", 5e-5)
+        change = f"{size:{form}}{' %' * share}" if abs(size) >= least else "none"
+        if undetermined(name, before) or undetermined(name, after):
+            change = "not known"
+        row = {"meaning": meaning, "unit": force.of(unit)[0], "change": change}
+        out[name] = row | {"before": before, "after": after}
+    return out
 
 
 def parameter_rows(data: DiagnosisData, effect: EffectRecord) -> dict[str, EffectParameter]:
@@ -366,8 +357,10 @@ def heldout_words(data: DiagnosisData) -> str:
     """Say how much better held-out cycles are predicted."""
     h = data.record.heldout
     gain, error = h.elpd_gain, h.se
-    scheme = h.scheme.replace("_", " ")
-    text = f"Held out ({scheme}; {h.n_blocks} cycles): a cycle is predicted by a law that was fitted without it."
+    text = (
+        f"Held out ({h.scheme.replace('_', ' ')}; {h.n_blocks} cycles): a cycle is predicted by a law that was fitted "
+        "without it."
+    )
     if not data.changed:
         return f"{text} Nothing was added to the law, so there is nothing to gain."
     if gain < 0:
@@ -416,17 +409,6 @@ def more_words(error: float) -> str:
     return f"{abs(error):.1f} % {'more' if error > 0 else 'less'} energy than was measured"
 
 
-def per_cent_of(percent: float | None) -> str:
-    """Return a size in per cent; nothing where there is none."""
-    size = number(percent)
-    return f"{per_cent(size / 100)} %" if math.isfinite(size) else ""
-
-
-def given(form: str, value: float | None) -> str:
-    """Write a number; nothing where there is none."""
-    return form.format(number(value)) if math.isfinite(number(value)) else ""
-
-
 def value(row: DrawsInShort, key: str = "mean") -> str:
     """Mean, or another value, with the digits that its spread makes meaningful."""
     return words.rounded(number(getattr(row, key)), row.sd)
@@ -442,36 +424,3 @@ def dep(row: DrawsInShort) -> str:
     if row.q05 is None or row.q95 is None:
         return words.dep_words(row.mean - SIGMA_90 * row.sd, row.mean + SIGMA_90 * row.sd)
     return words.dep_words(row.q05, row.q95)
-
-
-def _card(what: str, before: str, after: str, unit: str, note: str) -> dict[str, str]:
-    return {"what": what, "before": before, "after": after, "unit": unit, "note": note}
-
-
-def meaning(name: str) -> str:
-    """Meaning of a parameter; a name that this version does not know is shown without one."""
-    try:
-        return meaning_of(name).meaning
-    except ModelError:
-        return ""
-
-
-def unit(name: str) -> str:
-    """Give the unit of a parameter; nothing where it has none, or this version does not know it."""
-    try:
-        found = meaning_of(name).unit
-    except ModelError:
-        return ""
-    return "" if found == "1" else found
-
-
-def change(name: str, row: Mapping[str, Any]) -> str:
-    """Say by how much a parameter changed: per cent, but of gamma, which may be 0, the difference."""
-    before = row["before"].mean
-    moved = row["after"].mean - before
-    if undetermined(name, row["before"]) or undetermined(name, row["after"]):
-        return "not known"
-    if base_of(name) == "gamma" or before == 0:
-        return f"{moved:+.2g}" if abs(moved) >= 5e-5 else "none"
-    share = 100 * moved / before
-    return f"{share:+.1f} %" if abs(share) >= 0.05 else "none"

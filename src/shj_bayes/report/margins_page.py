@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from shj_bayes.margins.codes.bounds import LBDP, UBDP, kind_of
-from shj_bayes.margins.files import CardLine, card_of, degrees_words, facts_of, shown
+from shj_bayes.margins.files import card_of, degrees_words, facts_of, shown
 from shj_bayes.margins.history import published_factors
 from shj_bayes.margins.sheet import CAPACITY, DRIFT, NOMINAL, Sheet
 from shj_bayes.margins.spread import DESIGN, HIGH, LOW, MIDDLE, SPREAD, USE, Key, Margin
@@ -61,25 +61,19 @@ SPREADS = {  # kind of a margin: heading, factor
 
 def set_table(sheet: Sheet, importance: str) -> list[dict[str, Any]]:
     """One row per set: the numbers for design, bands of a new device, and factors for a class of EN 15129."""
-    index = sheet.by_key
+    index, rows = sheet.by_key, []
     factors = (*FACTORS, kind_of(LBDP, importance), kind_of(UBDP, importance), *EQUIVALENTS)
-    rows = []
     for name in shown_sets(sheet):
         own = {row.kind: row for row in sheet.rows if row.set_name == name}
-        bands = {
-            q: found for q, _, unit in BANDS if (found := band_words(index, name, q, 100.0 if unit == "%" else 1.0))
-        }
-        typical = index.get((name, "least", "new device, 50 %", MIDDLE))
+        bands = {q: band_words(index, name, q, 100.0 if unit == "%" else 1.0) for q, _, unit in BANDS}
+        kinds = {"drift": DRIFT, "capacity": CAPACITY, "phi_o": EQUIVALENTS[-1], "nominal": NOMINAL}
         rows.append(
             {
                 "name": name_of(name),
-                "n": counted(sheet, name, typical),
-                "drift": told(own[DRIFT]),
-                "capacity": told(own[CAPACITY]),
-                "phi_o": told(own[EQUIVALENTS[-1]]),
-                "nominal": told(own[NOMINAL]),
+                "n": counted(sheet, name, index.get((name, "least", "new device, 50 %", MIDDLE))),
+                **{key: told(own[kind]) for key, kind in kinds.items()},
                 "nominal_of": own[NOMINAL].formula,
-                "bands": bands,
+                "bands": {q: found for q, found in bands.items() if found},
                 "factors": [own.get(kind) for kind in factors],
             }
         )
@@ -98,7 +92,7 @@ def shown_cards(sheet: Sheet) -> list[dict[str, Any]]:
         {
             "name": name_of(name),
             "facts": list(facts_of(sheet, name)),
-            "lines": [line_words(line, several=several) for line in card_of(sheet, name)],
+            "lines": [line_words(*line, several=several) for line in card_of(sheet, name)],
             "curve": curve_rows([p for p in sheet.over_amplitude if p.set_name == name]),
         }
         for name in sheet.spoken
@@ -119,17 +113,16 @@ def curve_rows(points: Sequence[CyclePoint]) -> list[list[str]]:
     return rows
 
 
-def line_words(line: CardLine, *, several: bool = False) -> dict[str, Any]:
+def line_words(use: str, clause: str, by_side: Mapping[str, Margin], *, several: bool = False) -> dict[str, Any]:
     """Give a line of a card as texts: use, values, unit, largest error from the draws, clause with what to mind.
 
     ``main`` is what to use first, of one connection or of `several`; ``own`` what no design code states.
     """
-    rows = list(line.values.values())
-    values = [told(row) if row else "" for row in (line.low, line.middle, line.high)]
-    notes = [line.clause, *(row.warning for row in rows if row.warning)]
+    rows = list(by_side.values())
+    values = [told(by_side[side]) if side in by_side else "" for side in (LOW, MIDDLE, HIGH)]
+    notes = [clause, *(row.warning for row in rows if row.warning)]
     unit, error = "" if rows[0].unit == "1" else rows[0].unit, max(row.monte_carlo_error for row in rows)
-    clause = "; ".join(filter(None, dict.fromkeys(notes)))
-    said = {"use": line.use, "values": values, "unit": unit, "clause": clause}
+    said = {"use": use, "values": values, "unit": unit, "clause": "; ".join(filter(None, dict.fromkeys(notes)))}
     said["error"] = f"{float(f'{error:.1g}'):g}" if error else ""  # one digit, and 10 in the place of 1e+01
     main = rows[0].kind in (SUM, LARGEST) if several else rows[0].method == DESIGN
     return said | {"main": main, "own": rows[0].method in (DESIGN, USE)}
@@ -149,32 +142,29 @@ def spread_table(sheet: Sheet) -> dict[str, Any]:
     """
     own = {(r.set_name, r.quantity, r.kind): r.value for r in sheet.rows if r.method == SPREAD}
     kinds = [kind for kind in SPREADS if any(kind == key[2] for key in own)]
-    rows = [
-        {
-            "name": name_of(name),
-            "cells": [
-                digits(SPREADS[kind][1] * own.get((name, quantity, kind), math.nan))
-                for quantity in ("least", "most")
-                for kind in kinds
-            ],
-        }
-        for name in tested_sets(sheet.spoken)[:MAX_SETS]
-    ]
+    columns = [(quantity, kind) for quantity in ("least", "most") for kind in kinds]
+    rows = []
+    for name in tested_sets(sheet.spoken)[:MAX_SETS]:
+        cells = [digits(SPREADS[kind][1] * own.get((name, quantity, kind), math.nan)) for quantity, kind in columns]
+        rows.append({"name": name_of(name), "cells": cells})
     return {"heads": [SPREADS[kind][0] for kind in kinds], "rows": rows}
 
 
 def testing_table(sheet: Sheet, quantity: str) -> list[dict[str, Any]]:
     """One row per set: values by testing, low and high, with the spread common to all sets where there is one."""
-    index = sheet.by_key
-    rows = []
+    index, rows = sheet.by_key, []
     for name in shown_sets(sheet):
-        cells, degrees, n, warning = [], math.nan, counted(sheet, name, None), ""
-        for kind, _, _ in TESTED:
-            pair = [shown(index, name, quantity, kind, side) for side in (LOW, HIGH)]
-            cells.append(tuple(digits(m.value) if m else "-" for m in pair))
-            if pair[0]:
-                degrees, n, warning = pair[0].degrees, counted(sheet, name, pair[0]), pair[0].warning
-        rows.append({"name": name_of(name), "n": n, "nu": degrees_words(degrees), "cells": cells, "warning": warning})
+        pairs = [[shown(index, name, quantity, kind, side) for side in (LOW, HIGH)] for kind, *_ in TESTED]
+        last = next((low for low, _ in reversed(pairs) if low), None)
+        rows.append(
+            {
+                "name": name_of(name),
+                "n": counted(sheet, name, last),
+                "nu": degrees_words(last.degrees if last else math.nan),
+                "cells": [tuple(digits(m.value) if m else "-" for m in pair) for pair in pairs],
+                "warning": last.warning if last else "",
+            }
+        )
     return rows
 
 
@@ -261,10 +251,7 @@ def extrapolated_words(sheet: Sheet) -> str:
 
 def _pictures(loops: Sequence[LoopBand]) -> dict[str, str]:
     """Loop bands of the tested sets, as far as two pages have room for them."""
-    by_set: dict[str, list[LoopBand]] = {}
-    for band in loops:
-        if band.set_name != ANY_SET:
-            by_set.setdefault(band.set_name, []).append(band)
-    if len(by_set) > MAX_PICTURES:
+    names = list(dict.fromkeys(band.set_name for band in loops if band.set_name != ANY_SET))
+    if len(names) > MAX_PICTURES:
         return {}
-    return {name: loop(bands) for name, bands in by_set.items()}
+    return {name: loop([band for band in loops if band.set_name == name]) for name in names}

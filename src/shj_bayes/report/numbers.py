@@ -1,11 +1,9 @@
 """The numbers behind the figures: bands, residuals, cycles, energy, loops of the prior. Nothing is drawn here."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,16 +27,14 @@ N_PRIOR, N_SHOWN, N_POSTERIOR = 1000, 80, 20
 SAMPLES_PER_CYCLE = 240
 
 
-@dataclass(frozen=True, eq=False)
-class StrokeProfile:
+class StrokeProfile(NamedTuple):
     """Mean residual over stroke of one run and direction, arrays of shape (n_bins,)."""
 
-    # centre_mm, mean_kN: middle of the bin and mean residual there
-    centre_mm: FloatArray = field(repr=False)
-    mean_kN: FloatArray = field(repr=False)
-    # low_kN, high_kN: 5 and 95 % of what noise alone would give
-    low_kN: FloatArray = field(repr=False)
-    high_kN: FloatArray = field(repr=False)
+    centre_mm: FloatArray  # middle of the bin
+    mean_kN: FloatArray
+    # 5 and 95 % of what noise alone would give
+    low_kN: FloatArray
+    high_kN: FloatArray
 
 
 def residual(run: RunData) -> FloatArray:
@@ -46,21 +42,15 @@ def residual(run: RunData) -> FloatArray:
     return np.asarray(run.force_kN - run.law_kN.mean(axis=0), dtype=np.float64)
 
 
-def counted(run: RunData) -> BoolArray:
-    """Mark the samples that count: evidence, and not within two samples of a reversal.
+def stroke_profiles(run: RunData) -> list[StrokeProfile]:
+    """Mean residual over stroke for push and pull, beside what noise alone would give.
 
-    There the published law jumps, and a reversal placed one sample off leaves a residual that is neither noise nor
-    physics.
+    Evidence counts, but within two samples of a reversal: there the published law jumps, and a reversal placed one
+    sample off leaves a residual that is neither noise nor physics.
     """
-    keep = run.used.copy()
-    for shift in (-2, -1, 0, 1):
-        at = run.reversals + shift
-        keep[at[(at >= 0) & (at < keep.size)]] = False
-    return keep
-
-
-def stroke_profiles(run: RunData) -> tuple[StrokeProfile, StrokeProfile]:
-    """Mean residual over stroke for push and pull, beside what noise alone would give."""
+    counted = run.used.copy()
+    beside = (run.reversals[:, None] + np.arange(-2, 2)).ravel()
+    counted[beside[(beside >= 0) & (beside < counted.size)]] = False
     edges = edges_of(run.displacement_mm, N_STROKE)
     index, left = index_in(run.displacement_mm, edges), residual(run)
     noise = np.ascontiguousarray(run.predicted_kN - run.law_kN)
@@ -68,14 +58,14 @@ def stroke_profiles(run: RunData) -> tuple[StrokeProfile, StrokeProfile]:
     shifts = np.linspace(0, noise.shape[1], N_SHIFTS, endpoint=False).astype(int)
     out = []
     for sign in (1, -1):
-        inside = counted(run) & (run.direction == sign)
+        inside = counted & (run.direction == sign)
         mean = bin_means(index, left, inside, N_STROKE)
         there = np.isfinite(mean)
         at, count = np.flatnonzero(inside), np.bincount(index[inside], minlength=N_STROKE)
         sums = [np.bincount(index[at], row[at - step], N_STROKE)[there] for row in noise for step in shifts]
         low, high = np.quantile(sums / count[there], (0.05, 0.95), axis=0)
         out.append(StrokeProfile(0.5 * (edges[:-1] + edges[1:])[there], mean[there], low, high))
-    return out[0], out[1]
+    return out
 
 
 def edges_of(values: FloatArray, n_bins: int) -> FloatArray:
@@ -96,18 +86,13 @@ def bin_means(index: IntArray, what: FloatArray, inside: BoolArray, size: int, f
     return np.where(count >= fewest, total / np.maximum(count, 1), np.nan)
 
 
-@dataclass(frozen=True, eq=False)
-class Band:
+class Band(NamedTuple):
     """Predicted force of one run, each array of shape (n,), kN: median, and 5 and 95 % of what would be measured."""
 
-    median: FloatArray = field(repr=False)
-    force_low: FloatArray = field(repr=False)
-    force_high: FloatArray = field(repr=False)
+    median: FloatArray
+    force_low: FloatArray
+    force_high: FloatArray
     law_width_kN: float  # typical width of the 90 % band of the law
-
-    def part(self, at: slice) -> Band:
-        """Band of some of the samples."""
-        return Band(self.median[at], self.force_low[at], self.force_high[at], self.law_width_kN)
 
 
 def force_band(run: RunData) -> Band:
@@ -155,35 +140,33 @@ def cycle_marks(run: RunData) -> FloatArray:
     return np.asarray(marks, dtype=np.float64) if marks.size > 1 else np.empty(0)
 
 
-@dataclass(frozen=True, eq=False)
-class Cycles:
+class Cycles(NamedTuple):
     """Energy, envelope, sliding force and damping of the full cycles of one run, arrays of shape (n_cycles,)."""
 
     run: int
-    amplitude_mm: FloatArray = field(repr=False)
-    peak_speed_mm_s: FloatArray = field(repr=False)
-    # measured_J to high_J: measured, and 5, 50 and 95 % of what the posterior predicts would be measured
-    measured_J: FloatArray = field(repr=False)
-    low_J: FloatArray = field(repr=False)
-    median_J: FloatArray = field(repr=False)
-    high_J: FloatArray = field(repr=False)
-    # push_kN, pull_kN: largest and smallest measured force: the envelope
-    push_kN: FloatArray = field(repr=False)
-    pull_kN: FloatArray = field(repr=False)
-    # turn_mm to model_turn_kN: shape (2 n_cycles,): displacement where the cycles turn, and measured and modelled force
-    # there: the backbone
-    turn_mm: FloatArray = field(repr=False)
-    turn_kN: FloatArray = field(repr=False)
-    model_turn_kN: FloatArray = field(repr=False)
-    # push_sliding_kN, pull_sliding_kN: median measured force over the middle half of the stroke, displacement growing
-    # and falling; NaN where the device does not slide there
-    push_sliding_kN: FloatArray = field(repr=False)
-    pull_sliding_kN: FloatArray = field(repr=False)
-    # damping_percent, model_damping_percent: equivalent viscous damping of the measured and of the modelled loop, W /
-    # (2 pi F x): W its energy, F half the range of the force, x half that of the displacement (Chopra, Dynamics of
-    # Structures, section 3.9). 63.7 % is a rectangle.
-    damping_percent: FloatArray = field(repr=False)
-    model_damping_percent: FloatArray = field(repr=False)
+    amplitude_mm: FloatArray
+    peak_speed_mm_s: FloatArray
+    # measured, and 5, 50 and 95 % of what the posterior predicts would be measured
+    measured_J: FloatArray
+    low_J: FloatArray
+    median_J: FloatArray
+    high_J: FloatArray
+    # the envelope: largest and smallest measured force
+    push_kN: FloatArray
+    pull_kN: FloatArray
+    # the backbone, shape (2 n_cycles,): displacement where the cycles turn, and measured and modelled force there
+    turn_mm: FloatArray
+    turn_kN: FloatArray
+    model_turn_kN: FloatArray
+    # median measured force over the middle half of the stroke, displacement growing and falling; NaN where the device
+    # does not slide there
+    push_sliding_kN: FloatArray
+    pull_sliding_kN: FloatArray
+    # equivalent viscous damping of the measured and of the modelled loop, W / (2 pi F x): W its energy, F half the
+    # range of the force, x half that of the displacement (Chopra, Dynamics of Structures, section 3.9). A rectangle has
+    # 63.7 %.
+    damping_percent: FloatArray
+    model_damping_percent: FloatArray
 
     @property
     def n_outside(self) -> int:
@@ -254,28 +237,37 @@ def pick_cycle(run: RunData) -> slice:
     return slice(*spans[int(np.flatnonzero(near <= near.min() + 0.03 * amplitude.max())[-1])])
 
 
-def degradation(device: DeviceData) -> dict[int, tuple[float, float, float]]:
-    """Loss of sliding force from the first run to every later one, per cent: 5, 50 and 95 % of its posterior."""
-    names = {run.number: run_name("ratio", run.number) for run in device.runs[1:]}
-    return {number: band_of(100 * (1 - device.draws[name].ravel())) for number, name in names.items()}
+class Beforehand(NamedTuple):
+    """One steady sine cycle under prior, paper and posterior."""
+
+    amplitude_mm: float
+    peak_speed_mm_s: float
+    displacement_mm: FloatArray  # shape (n,): a closed loop
+    # forces, shape (m, n); those of the paper have no rows where the priors are not of the paper's kind of device
+    prior_kN: FloatArray
+    paper_kN: FloatArray
+    posterior_kN: FloatArray
+    # 5 and 95 % of the largest force
+    prior_range_kN: FloatArray
+    posterior_range_kN: FloatArray
+    paper_inside: int  # published loops whose largest force lies within the central 98 % of the prior of their run
 
 
-@dataclass(frozen=True, eq=False)
-class DeviceFigures:
-    """All that is drawn or said, computed once."""
+class DeviceFigures(NamedTuple):
+    """All that is drawn or said, computed once; lists are run by run."""
 
-    bands: tuple[Band, ...]
-    cycles: tuple[Cycles, ...]
-    losses: dict[int, tuple[float, float, float]]
-    profiles: tuple[tuple[StrokeProfile, StrokeProfile], ...]
+    bands: list[Band]
+    cycles: list[Cycles]
+    losses: dict[int, tuple[float, float, float]]  # of sliding force from run 1 to this one, per cent: 5, 50 and 95 %
+    profiles: list[list[StrokeProfile]]
     one_speed: float | None
     before: Beforehand
 
 
 def numbers_of(device: DeviceData) -> DeviceFigures:
     """Compute the numbers of a device page."""
-    bands = tuple(force_band(run) for run in device.runs)
-    cycles = tuple(cycles_of(run, band.median) for run, band in zip(device.runs, bands, strict=True))
+    bands = [force_band(run) for run in device.runs]
+    cycles = [cycles_of(run, band.median) for run, band in zip(device.runs, bands, strict=True)]
     first, speeds = device.runs[0], [c.peak_speed_mm_s for c in cycles]
     whole = 0.5 * float(np.ptp(first.displacement_mm))
     amplitude = max((float(c.amplitude_mm.max()) for c in cycles if c.amplitude_mm.size), default=whole)
@@ -283,8 +275,11 @@ def numbers_of(device: DeviceData) -> DeviceFigures:
     return DeviceFigures(
         bands,
         cycles,
-        degradation(device),
-        tuple(stroke_profiles(run) for run in device.runs),
+        {
+            run.number: band_of(100 * (1 - device.draws[run_name("ratio", run.number)].ravel()))
+            for run in device.runs[1:]
+        },
+        [stroke_profiles(run) for run in device.runs],
         one_peak_speed(np.concatenate(speeds)),
         beforehand(device, amplitude, speed or float(np.quantile(first.speed_mm_s, 0.98))),
     )
@@ -297,70 +292,40 @@ def left_over(device: DeviceData, folder: Path | None = None) -> LeftOver:
     # Median-based, so that the jumps at reversals do not count as scatter.
     short = 1.4826 * float(np.median(np.abs(np.concatenate([np.diff(part) for part in parts])))) / np.sqrt(2)
     capacity = max(abs(float(np.median(device.draws["Fy"]))), 1e-12)
-    widening = device.record.cycles.widening
+    looked = find(DiagnosisRecord, folder / diagnosis_in(folder)) if folder else None
+    same = looked is not None and looked.sha256_of_inputs == device.record.sha256_of_inputs
     return LeftOver(
         unexplained_percent=100.0 * float(np.sqrt(max(rms**2 - short**2, 0.0))) / capacity,
         n_cycles=sum(max(0, cycle_marks(run).size - 1) for run in device.runs),
-        widening=max(widening.values(), default=1.0),
-        diagnosed=_diagnosed(device, folder) if folder else "",
+        widening=max(device.record.cycles.widening.values(), default=1.0),
+        diagnosed=looked.verdict if looked and same else "",
     )
-
-
-def _diagnosed(device: DeviceData, folder: Path) -> str:
-    """Verdict of ``diagnosis.json``; empty where it is missing, unreadable, or of other recordings."""
-    record = find(DiagnosisRecord, folder / diagnosis_in(folder))
-    return record.verdict if record and record.sha256_of_inputs == device.record.sha256_of_inputs else ""
-
-
-@dataclass(frozen=True, eq=False)
-class Beforehand:
-    """One steady sine cycle under prior, paper and posterior."""
-
-    amplitude_mm: float
-    peak_speed_mm_s: float
-    displacement_mm: FloatArray = field(repr=False)  # shape (n,): a closed loop
-    # prior_kN to posterior_kN: shape (m, n): forces; ``paper_kN`` has no rows when the priors are not those of the
-    # paper's kind of device
-    prior_kN: FloatArray = field(repr=False)
-    paper_kN: FloatArray = field(repr=False)
-    posterior_kN: FloatArray = field(repr=False)
-    # prior_range_kN, posterior_range_kN: 5 and 95 % of the largest force
-    prior_range_kN: tuple[float, float]
-    posterior_range_kN: tuple[float, float]
-    paper_range_kN: tuple[float, ...]  # smallest and largest of the published devices; empty without them
-    paper_inside: int  # published loops whose largest force lies within the central 98 % of the prior of their run
 
 
 def beforehand(device: DeviceData, amplitude_mm: float, peak_speed_mm_s: float) -> Beforehand:
     """Loops of one sine cycle of the amplitude and peak speed that were tested."""
-    variant = device.record.model.variant
-    published = device.record.model.priors == "afc"
-    prior, paper, inside = [], [], 0
-    for run in _runs(device):
-        # A second run has its own prior: that of the ratio widens that of the sliding force.
-        x, force = steady_cycle(_laws(device.prior, N_PRIOR, run), amplitude_mm, peak_speed_mm_s, variant)
-        prior.append(force)
-        if published:
-            _, loops = steady_cycle(_published_laws(run), amplitude_mm, peak_speed_mm_s, variant)
-            low, high = np.quantile(np.abs(force).max(axis=1), (0.01, 0.99))
-            reached = np.abs(loops).max(axis=1)
-            inside += int(np.sum((reached >= low) & (reached <= high)))
-            paper.append(loops)
+    sine = amplitude_mm, peak_speed_mm_s, device.record.model.variant
     draws = {name: values.ravel() for name, values in device.draws.items()}
-    after = [_laws(draws, N_POSTERIOR, run) for run in _runs(device)]
-    _, posterior = steady_cycle(np.concatenate(after), amplitude_mm, peak_speed_mm_s, variant)
-    before = np.concatenate(prior)
-    loops = np.concatenate(paper) if paper else np.empty((0, x.size))
+    prior, paper, after, inside = [], [], [], 0
+    for run in (1, 2) if "ratio" in draws else (1,):
+        # A second run has its own prior: that of the ratio widens that of the sliding force.
+        x, force = steady_cycle(_laws(device.prior, N_PRIOR, run), *sine)
+        prior.append(force)
+        after.append(_laws(draws, N_POSTERIOR, run))
+        if device.record.model.priors == "afc":
+            paper.append(steady_cycle(_published_laws(run), *sine)[1])
+            low, high = np.quantile(_largest(force), (0.01, 0.99))
+            inside += int(np.sum((_largest(paper[-1]) >= low) & (_largest(paper[-1]) <= high)))
+    before, (_, posterior) = np.concatenate(prior), steady_cycle(np.concatenate(after), *sine)
     return Beforehand(
         amplitude_mm,
         peak_speed_mm_s,
         x,
         before[:: max(1, before.shape[0] // N_SHOWN)],
-        loops,
+        np.concatenate(paper) if paper else np.empty((0, x.size)),
         posterior,
-        _range(before, (0.05, 0.95)),
-        _range(posterior, (0.05, 0.95)),
-        _range(loops, (0.0, 1.0)) if paper else (),
+        np.quantile(_largest(before), (0.05, 0.95)),
+        np.quantile(_largest(posterior), (0.05, 0.95)),
         inside,
     )
 
@@ -380,14 +345,9 @@ def steady_cycle(
     return motion.displacement_mm[loop], force[:, loop]
 
 
-def _runs(device: DeviceData) -> tuple[int, ...]:
-    return (1, 2) if "ratio" in device.draws else (1,)
-
-
-def _range(force_kN: FloatArray, levels: tuple[float, float]) -> tuple[float, float]:
-    """Two quantiles of the largest force of each loop, kN."""
-    low, high = np.quantile(np.abs(force_kN).max(axis=1), levels)
-    return float(low), float(high)
+def _largest(force_kN: FloatArray) -> FloatArray:
+    """Largest force of each loop."""
+    return np.asarray(np.abs(force_kN).max(axis=1))
 
 
 def _laws(draws: Mapping[str, FloatArray], n: int, run: int) -> FloatArray:
@@ -402,7 +362,6 @@ def _laws(draws: Mapping[str, FloatArray], n: int, run: int) -> FloatArray:
 
 def _published_laws(run: int) -> FloatArray:
     """Law parameters of one run of the published devices, shape (25, 4)."""
-    rows = [[row.values[name, run] for name in ("K", "Fy", "beta", "dep")] for row in published_rows()]
-    laws = np.array(rows)
+    laws = np.array([[row.values[name, run] for name in ("K", "Fy", "beta", "dep")] for row in published_rows()])
     laws[:, 3] = 1 / laws[:, 3]
     return laws

@@ -3,10 +3,9 @@
 import base64
 import hashlib
 import re
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jinja2
 from markupsafe import Markup
@@ -26,8 +25,7 @@ _HEAD = (
 TABLES, LOOPS = ("sheet", "tables"), ("sheet", "tables", "loops")  # scripts of a page, in the order they run
 
 
-@dataclass(frozen=True)
-class Picture:
+class Picture(NamedTuple):
     """A picture on a page."""
 
     address: str  # the picture itself, as a data URI

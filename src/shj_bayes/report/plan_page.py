@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model.history import histories
 from shj_bayes.planning.information import WHICH
 from shj_bayes.planning.plan import Plan, PlanRecord, WorthOfTest
-from shj_bayes.planning.rivals import ASSURANCE, WITHIN, PretestPosterior, RivalModel, mechanisms_of
+from shj_bayes.planning.rivals import ASSURANCE, WITHIN, PretestPosterior, mechanisms_of
 from shj_bayes.report.diagnosis_words import over_words
-from shj_bayes.report.figures.canvas import BLUE, PALE, RED, WIDE, Figure, alike, label, legend, sheet, svg
+from shj_bayes.report.figures.canvas import BLUE, PALE, RED, WIDE, Figure, alike, drawn, label, sheet, svg
 from shj_bayes.report.page import write_page
 
 MOST = 6000  # points of a line
@@ -125,36 +124,38 @@ def _pictures(plan: Plan) -> dict[str, Any]:
         return {}
     known, protocol = plan.known[0], plan.best[0]
     time, motion = protocol.sampled(plan.rig.rate_Hz)
-    x = motion.displacement_mm
-    drawn: dict[str, Any] = {"history": history(time, x, motion.speed_mm_s), "protocol": protocol}
+    thin = slice(None, None, max(1, time.size // MOST))
+    t, x = time[thin], motion.displacement_mm[thin]
+    figure = Figure(WIDE, 302, (3, 1))
+    top, low = figure.axes
+    top.plot(t, x, color=BLUE, linewidth=1.0)
+    low.plot(t, motion.speed_mm_s[thin], linewidth=0.8)
+    alike(figure.axes, x=True)
+    top.x_numbers = 0
+    label(top, "", "displacement (mm)")
+    label(low, "time (s)", "speed (mm/s)")
+    out: dict[str, Any] = {"history": svg(figure), "protocol": protocol}
     leading = [next(b for b in known.rivals if b.key == key) for key in known.keys[:2]]
     if len(leading) < 2 or not known.runs:  # before any test a curve is as likely above 0 as below it: no loop to draw
-        return drawn
+        return out
     placed = known.placed(histories([time], [motion])[0])
-    first, second = (_force(b, placed) for b in leading)
-    first_name, second_name = (set_words(sorted(b.key), mechanisms_of(b.key)) for b in leading)
-    names = (first_name, second_name)
-    noise = _noise(known)
-    return drawn | {
-        "rivals": rivals(x, first, second, names),
-        "apart": apart(time, first - second, noise),
-        "names": names,
-        "gap_kN": np.abs(first - second).max(),
-        "noise_kN": noise,
-    }
-
-
-def _devices(record: PlanRecord) -> dict[str, str]:
-    """Half width of what is known over the number of further devices."""
-    table = record.further_devices.table if record.further_devices else ()
-    keys = ("n_further", "half_width_expected", "half_width_assured")
-    n, expected, assured = ([float(getattr(row, key)) for row in table] for key in keys)
-    return {"devices": devices(n, expected, assured, WITHIN)} if table else {}
-
-
-def _force(b: RivalModel, history: Any) -> Any:
-    theta = b.model.laws.natural(b.z[None])
-    return b.model.force(theta, history, 0.0)[0]
+    forces = [b.model.force(b.model.laws.natural(b.z[None]), placed, 0.0)[0] for b in leading]
+    names = [set_words(sorted(b.key), mechanisms_of(b.key)) for b in leading]
+    figure = Figure(WIDE, 288, columns=2, top=22)
+    for axes, force, other, colour, name in zip(figure.axes, forces, reversed(forces), (BLUE, RED), names, strict=True):
+        axes.plot(x, other[thin], color=PALE, linewidth=0.8)
+        axes.plot(x, force[thin], color=colour, linewidth=0.9)
+        axes.title = f"if {name}"
+        label(axes, "displacement (mm)", "force (kN)" if axes is figure.axes[0] else "")
+    alike(figure.axes, y=True)
+    figure.axes[1].rows = ("",)
+    out["rivals"] = svg(figure)
+    gap, noise = forces[0] - forces[1], _noise(known)
+    figure, axes = sheet(WIDE, 202)
+    axes.fill([-np.inf, np.inf], -2 * noise, 2 * noise, color=PALE, alpha=0.5, label="noise of a sample, 95 %")
+    axes.plot(t, gap[thin], color=BLUE, linewidth=0.9, label="first less second")
+    apart = drawn(figure, "time (s)", "difference (kN)", 2)
+    return out | {"apart": apart, "names": names, "gap_kN": np.abs(gap).max(), "noise_kN": noise}
 
 
 def _noise(known: PretestPosterior) -> float:
@@ -165,58 +166,15 @@ def _noise(known: PretestPosterior) -> float:
     return math.hypot(*(float(v) for name, v in named.items() if name.startswith("sigma")))
 
 
-def history(time_s: FloatArray, x_mm: FloatArray, speed_mm_s: FloatArray) -> str:
-    """Displacement over time, with the speed below it."""
-    figure = Figure(WIDE, 302, (3, 1))
-    top, low = figure.axes
-    keep = _thin(time_s.size)
-    top.plot(time_s[keep], x_mm[keep], color=BLUE, linewidth=1.0)
-    low.plot(time_s[keep], speed_mm_s[keep], linewidth=0.8)
-    alike(figure.axes, x=True)
-    top.x_numbers = 0
-    label(top, "", "displacement (mm)")
-    label(low, "time (s)", "speed (mm/s)")
-    return svg(figure)
-
-
-def rivals(x_mm: FloatArray, first_kN: FloatArray, second_kN: FloatArray, names: tuple[str, str]) -> str:
-    """Predicted loops if one rival is true and if the other is, on the same axes."""
-    figure = Figure(WIDE, 288, columns=2, top=22)
-    keep = _thin(x_mm.size)
-    for axes, force, other, colour, name in zip(
-        figure.axes, (first_kN, second_kN), (second_kN, first_kN), (BLUE, RED), names, strict=True
-    ):
-        axes.plot(x_mm[keep], other[keep], color=PALE, linewidth=0.8)
-        axes.plot(x_mm[keep], force[keep], color=colour, linewidth=0.9)
-        axes.title = f"if {name}"
-        label(axes, "displacement (mm)", "force (kN)" if axes is figure.axes[0] else "")
-    alike(figure.axes, y=True)
-    figure.axes[1].rows = ("",)
-    return svg(figure)
-
-
-def apart(time_s: FloatArray, difference_kN: FloatArray, noise_kN: float) -> str:
-    """Force of one rival less that of the other, over time, with the noise of one sample."""
-    figure, axes = sheet(WIDE, 202)
-    keep = _thin(time_s.size)
-    ends, band = [-np.inf, np.inf], 2 * noise_kN
-    axes.fill(ends, -band, band, color=PALE, alpha=0.5, label="noise of a sample, 95 %")
-    axes.plot(time_s[keep], difference_kN[keep], color=BLUE, linewidth=0.9, label="first less second")
-    label(axes, "time (s)", "difference (kN)")
-    legend(axes, 2)
-    return svg(figure)
-
-
-def devices(n: Sequence[float], expected: Sequence[float], assured: Sequence[float], within: float) -> str:
+def _devices(record: PlanRecord) -> dict[str, str]:
     """Half width of the 5 % force over the number of further devices."""
+    table = record.further_devices.table if record.further_devices else ()
+    if not table:
+        return {}
+    n = [row["n_further"] for row in table]
     figure, axes = sheet(WIDE, 216)
-    axes.across(100 * within, "--", label="wanted")
-    axes.plot(n, 100 * np.asarray(expected), "o-", color=BLUE, size=4, label="typical")
-    axes.plot(n, 100 * np.asarray(assured), "s-", color=RED, size=4, label="kept with a chance of 80 %")
-    label(axes, "further devices", "half width (% of the force)")
-    legend(axes, 3)
-    return svg(figure)
-
-
-def _thin(n: int) -> slice:
-    return slice(None, None, max(1, n // MOST))
+    axes.across(100 * WITHIN, "--", label="wanted")
+    axes.plot(n, [100 * row["half_width_expected"] for row in table], "o-", color=BLUE, size=4, label="typical")
+    assured = [100 * row["half_width_assured"] for row in table]
+    axes.plot(n, assured, "s-", color=RED, size=4, label="kept with a chance of 80 %")
+    return {"devices": drawn(figure, "further devices", "half width (% of the force)", 3)}

@@ -1,9 +1,9 @@
 """The numbers of a campaign page: sets side by side, new devices, comparisons. Nothing is drawn here."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,17 +44,16 @@ NEVER = "a set never tested"
 Interval = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class SetBand:
+class SetBand(NamedTuple):
     """A new device of one set in one quantity."""
 
     set_name: str
     n_devices: int  # tested devices that give the quantity
     unit: str
     band: Interval  # 5, 50 and 95 % of a new device
-    others: Mapping[str, tuple[float, float]] = field(repr=False)  # the 90 % band under each other prior of the spread
+    others: Mapping[str, tuple[float, float]]  # the 90 % band under each other prior of the spread
     # the tested devices; low and high equal the middle where only a point is known
-    devices: tuple[tuple[str, Interval], ...] = field(repr=False)
+    devices: tuple[tuple[str, Interval], ...]
 
     @property
     def name(self) -> str:
@@ -73,6 +72,12 @@ def name_of(set_name: str) -> str:
     return NEVER if set_name == ANY_SET else set_name
 
 
+def title_of(quantity: str) -> str:
+    """Name of a quantity above a picture."""
+    said = MEANING[quantity].replace(" / ", " over ").removesuffix(" 1/dep")
+    return said[0].upper() + said[1:]
+
+
 def set_bands(
     result: PopulationResult, intervals: Mapping[tuple[str, str], Mapping[str, Interval]] | None = None
 ) -> dict[str, tuple[SetBand, ...]]:
@@ -81,42 +86,21 @@ def set_bands(
     The last band of each is that of a set never tested, where enough were tested to say. `intervals` are 90 % intervals
     of the tested devices; their points stand where it says nothing.
     """
-    table = new_device_table(result)
-    groups = {group.name: group for group in result.sets}
-    if not sets_suffice(len(result.sets)):
-        table = [row for row in table if row["set"] != ANY_SET]
+    groups, enough = {group.name: group for group in result.sets}, sets_suffice(len(result.sets))
     out: dict[str, tuple[SetBand, ...]] = {}
-    for quantity in SHOWN:
-        rows = [row for row in table if row["quantity"] == quantity]
-        if rows:
-            out[quantity] = tuple(
-                _band(row, groups.get(row["set"]), intervals or {}, result.other_priors) for row in rows
-            )
+    table = [row for row in new_device_table(result) if row["quantity"] in SHOWN and (enough or row["set"] != ANY_SET)]
+    for row in sorted(table, key=lambda row: SHOWN.index(row["quantity"])):
+        name, quantity = row["set"], row["quantity"]
+        group, devices = groups.get(name), []
+        for index, device in enumerate(group.devices if group else ()):
+            known = (intervals or {}).get((name, device), {}).get(quantity)
+            if group and (point := known or _point(group, index, quantity)):
+                devices.append((device, point))
+        band = row["q05"], row["q50"], row["q95"]
+        others = {label: (row[f"q05_{label}"], row[f"q95_{label}"]) for label in result.other_priors}
+        own = SetBand(name, row["n_devices"], row["unit"], band, others, tuple(devices))
+        out[quantity] = (*out.get(quantity, ()), own)
     return out
-
-
-def _band(
-    row: Mapping[str, Any],
-    group: DeviceSet | None,
-    intervals: Mapping[tuple[str, str], Mapping[str, Interval]],
-    priors: Iterable[str],
-) -> SetBand:
-    quantity = row["quantity"]
-    devices = []
-    for index, name in enumerate(group.devices if group else ()):
-        assert group is not None
-        known = intervals.get((group.name, name), {}).get(quantity)
-        point = known or _point(group, index, quantity)
-        if point is not None:
-            devices.append((name, point))
-    return SetBand(
-        row["set"],
-        row["n_devices"],
-        row["unit"],
-        (row["q05"], row["q50"], row["q95"]),
-        {label: (row[f"q05_{label}"], row[f"q95_{label}"]) for label in priors},
-        tuple(devices),
-    )
 
 
 def _point(group: DeviceSet, index: int, quantity: str) -> Interval | None:

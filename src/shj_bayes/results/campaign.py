@@ -4,11 +4,11 @@ import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from shj_bayes.errors import ReportError, ShjError, shown
+from shj_bayes.errors import ReportError, shown
 from shj_bayes.results import store
-from shj_bayes.results.codec import IF_KNOWN, Probability
+from shj_bayes.results.codec import IF_KNOWN, Probability, Stored
 from shj_bayes.results.diagnosis import DependenceId, DiagnosisVerdict
 from shj_bayes.results.fit import USABLE, Trust
 
@@ -130,13 +130,8 @@ class SetTogether:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CampaignRecord:
+class CampaignRecord(Stored, file="campaign.json", command="shj-bayes campaign"):
     """Content of ``campaign.json``."""
-
-    FILE: ClassVar[str] = "campaign.json"
-    ERROR: ClassVar[type[ShjError]] = ReportError
-    MISSING: ClassVar[str] = "holds no campaign.json; run shj-bayes campaign first"
-    AGAIN: ClassVar[str] = "restore it, or run shj-bayes campaign again"
 
     schema: Literal["shj-bayes/campaign/1"] = SCHEMA
     name: str
@@ -161,7 +156,7 @@ def read_campaign(folder: Path) -> CampaignRecord:
             raise ReportError(
                 f"campaign.json in {folder.name} names the folder {shown(device.folder)} for the device "
                 f"{shown(device.name)} of the set {shown(set_name)}; it must be one below {folder.name}; "
-                f"{CampaignRecord.AGAIN}"
+                "restore it, or run shj-bayes campaign again"
             )
     return record
 

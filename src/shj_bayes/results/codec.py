@@ -13,9 +13,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from enum import StrEnum
 from functools import cache
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from shj_bayes.errors import shown
+from shj_bayes.errors import ReportError, ShjError, shown
 
 IF_KNOWN = {"if_known": True}  # metadata of a field that is written only where it is not None
 ROUNDING = 1e-9  # by which a sum of probabilities may pass its bound
@@ -31,6 +31,18 @@ Record = TypeVar("Record")
 
 class WrongValueError(ValueError):
     """A value of a file is not what its field may hold; the message names both."""
+
+
+class Stored:
+    """A record that has a file of its own in a folder of results."""
+
+    FILE: ClassVar[str]
+    ERROR: ClassVar[type[ShjError]]  # of a file that is missing, damaged, altered or of another schema
+    COMMAND: ClassVar[str]  # that writes it
+
+    def __init_subclass__(cls, *, file: str, command: str, error: type[ShjError] = ReportError) -> None:
+        """Name the file, the command that writes it, and the error."""
+        cls.FILE, cls.COMMAND, cls.ERROR = file, command, error
 
 
 def to_json(value: Any) -> Any:
@@ -95,15 +107,15 @@ def _wrong(value: Any, allowed: str, at: str) -> WrongValueError:
 
 @cache
 def fields_of(kind: Any) -> tuple[tuple[str, str, bool, Any, bool], ...]:
-    """Fields that files hold: key (a field ``class_`` is ``class`` there), name, whether it must be there, type.
+    """Fields that files hold: key, name, whether it must be there, type, whether it is written only where not None.
 
-    Last stands whether it is written only where it is not None.
+    A field ``class_`` has the key ``class``, one with ``metadata["key"]`` that one.
     """
     hints = get_type_hints(kind, include_extras=True)
     return tuple(
         (key, f.name, f.default is MISSING and f.default_factory is MISSING, hints[f.name], "if_known" in f.metadata)
         for f in fields(kind)
-        for key in [f.name.rstrip("_")]
+        for key in [f.metadata.get("key", f.name.rstrip("_"))]
     )
 
 
@@ -123,20 +135,12 @@ def _one_of(kind: Any, words: tuple[str, ...], value: Any, at: str) -> Any:
     return kind(value) if isinstance(kind, type) else value
 
 
-def _optional(_: Any, kinds: tuple[Any, ...], value: Any, at: str) -> Any:
-    return None if value is None else _value(kinds[0], value, at)
-
-
 def _items(_: Any, args: tuple[Any, ...], value: Any, at: str) -> Any:
     values = _of(list, value, at)
     kinds = (args[0],) * len(values) if args[-1] is Ellipsis else args
     if len(values) != len(kinds):
         raise _wrong(values, f"a list of {len(kinds)}", at)
     return tuple(_value(one, part, f"{at}[{i}]") for i, (one, part) in enumerate(zip(kinds, values, strict=True)))
-
-
-def _table(_: Any, args: tuple[Any, ...], value: Any, at: str) -> Any:
-    return {key: _value(args[1], part, f"{at}.{key}") for key, part in _of(dict, value, at).items()}
 
 
 def _bounded(_: Any, args: tuple[Any, ...], given: Any, at: str) -> Any:
@@ -161,10 +165,14 @@ _BOUNDS: dict[str, tuple[str, Callable[[Any, Any], bool]]] = {
 _READERS: dict[Any, Callable[..., Any]] = {
     Any: lambda _kind, _args, value, _at: value,
     Annotated: _bounded,
-    Union: _optional,
+    Union: lambda _, args, value, at: None if value is None else _value(args[0], value, at),
     Literal: _one_of,
     tuple: _items,
-    Mapping: _table,
-    dict: _table,
+    **dict.fromkeys(
+        (Mapping, dict),
+        lambda _, args, value, at: {
+            key: _value(args[1], part, f"{at}.{key}") for key, part in _of(dict, value, at).items()
+        },
+    ),
     "record": _record,
 }

@@ -1,10 +1,10 @@
 """``posterior.nc`` and ``diagnosis.nc``: draws, channels and predictions of a device, and its model rebuilt."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,22 +25,21 @@ FLOATS = ("time_s", "position_mm", "speed_mm_s", "slip_mm", "travel_m", "force_k
 OLD = ("posterior_predictive", "observed_data")  # groups with every sample in files of shj-bayes/fit/1
 
 
-@dataclass(frozen=True, eq=False)
-class RunData:
+class RunData(NamedTuple):
     """One run: what was measured and what the posterior predicts, at all samples or, of a long one, at some."""
 
     number: int  # 1 for the first run
-    # time_s to force_kN: shape (n,): channels; displacement and speed as the law used them
-    time_s: FloatArray = field(repr=False)
-    displacement_mm: FloatArray = field(repr=False)
-    speed_mm_s: FloatArray = field(repr=False)
-    force_kN: FloatArray = field(repr=False)
-    used: BoolArray = field(repr=False)  # shape (n,): samples that are evidence
-    half_cycle: IntArray = field(repr=False)  # shape (n,): index of the half-cycle of each sample
-    # law_kN, predicted_kN: shape (m, n): posterior draws of the force without noise, and as it would be measured
-    law_kN: FloatArray = field(repr=False)
-    predicted_kN: FloatArray = field(repr=False)
-    extras: Mapping[str, FloatArray] = field(default_factory=dict, repr=False)  # shape (n,): further channels by name
+    # channels, shape (n,); displacement and speed as the law used them
+    time_s: FloatArray
+    displacement_mm: FloatArray
+    speed_mm_s: FloatArray
+    force_kN: FloatArray
+    used: BoolArray  # samples that are evidence
+    half_cycle: IntArray  # index of the half-cycle of each sample
+    # posterior draws of the force, shape (m, n), without noise and as it would be measured
+    law_kN: FloatArray
+    predicted_kN: FloatArray
+    extras: Mapping[str, FloatArray] = {}  # further channels by name
 
     @property
     def reversals(self) -> IntArray:
@@ -67,20 +66,13 @@ class RunData:
         return np.asarray(np.repeat(sign, ends - self.starts + 1), dtype=np.int64)
 
 
-@dataclass(frozen=True, eq=False)
-class DeviceData:
+class DeviceData(NamedTuple):
     """One device: its record, its draws and its runs."""
 
     record: FitRecord
-    # shape (n_ensembles, n_draws): posterior in natural units, in the order of the record
-    draws: Mapping[str, FloatArray] = field(repr=False)
-    prior: Mapping[str, FloatArray] = field(repr=False)  # shape (n,): prior draws
-    runs: tuple[RunData, ...] = field(repr=False)  # in the order they were made
-
-    @property
-    def name(self) -> str:
-        """Name of the device, as given."""
-        return self.record.device
+    draws: Mapping[str, FloatArray]  # of the posterior, natural units, shape (n_ensembles, n_draws)
+    prior: Mapping[str, FloatArray]  # draws of the prior, shape (n,)
+    runs: tuple[RunData, ...]  # in the order they were made
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,27 +191,19 @@ def read_device(folder: Path) -> DeviceData:
     with posterior_file(folder) as file:
         loops, measured = (file[name] for name in (("loops", "constant_data") if "loops" in file else OLD))
         force = _values(measured["force"])
-        constant = {name: _values(part) for name, part in file["constant_data"].items() if part.shape == force.shape}
+        held = {name: _values(part) for name, part in file["constant_data"].items() if part.shape == force.shape}
         law, predicted = (_values(loops[name]).reshape(-1, force.size) for name in ("force_model", "force"))
         draws = {name: _values(file["posterior"][name]) for name in names}
         prior = {name: _values(file["prior"][name]).ravel() for name in names}
+    further = [name for name in held if name.startswith(EXTRA)]
     runs = []
-    for number in np.unique(constant["run"]):
-        mine = constant["run"] == number
-        runs.append(
-            RunData(
-                int(number),
-                constant["time_s"][mine],
-                constant["displacement_mm"][mine],
-                constant["speed_mm_s"][mine],
-                force[mine],
-                constant["used"][mine].astype(np.bool_),
-                constant["half_cycle_of_sample"][mine],
-                law[:, mine],
-                predicted[:, mine],
-                {name[len(EXTRA) :]: values[mine] for name, values in constant.items() if name.startswith(EXTRA)},
-            )
-        )
+    for number in np.unique(held["run"]):
+        mine = held["run"] == number
+        time, x, speed = (held[name][mine] for name in ("time_s", "displacement_mm", "speed_mm_s"))
+        used, half = held["used"][mine].astype(np.bool_), held["half_cycle_of_sample"][mine]
+        extras = {name.removeprefix(EXTRA): held[name][mine] for name in further}
+        drawn = law[:, mine], predicted[:, mine]
+        runs.append(RunData(int(number), time, x, speed, force[mine], used, half, *drawn, extras))
     return DeviceData(record, draws, prior, tuple(runs))
 
 
@@ -229,24 +213,21 @@ def _values(part: Any) -> NDArray[Any]:
     return np.asarray(part) if scale is None else np.asarray(part, dtype=np.float32) * np.float32(np.squeeze(scale))
 
 
-@dataclass(frozen=True, eq=False)
-class DiagnosisData:
+class DiagnosisData(NamedTuple):
     """What a diagnosis left in its folder: its record, and samples of all runs, one after the other, shape (n,)."""
 
     record: DiagnosisRecord
-    # time_s to travel_m: time, displacement from mid-stroke, speed, distance since the last reversal, distance in all
-    time_s: FloatArray = field(repr=False)
-    position_mm: FloatArray = field(repr=False)
-    speed_mm_s: FloatArray = field(repr=False)
-    slip_mm: FloatArray = field(repr=False)
-    travel_m: FloatArray = field(repr=False)
-    direction: IntArray = field(repr=False)  # +1 while displacement grows (push), -1 while it falls
-    run: IntArray = field(repr=False)  # number of the run
-    used: BoolArray = field(repr=False)  # samples that are evidence
-    # force_kN to after_kN: measured, modelled by the base law, modelled by the law with what was found
-    force_kN: FloatArray = field(repr=False)
-    before_kN: FloatArray = field(repr=False)
-    after_kN: FloatArray = field(repr=False)
+    time_s: FloatArray
+    position_mm: FloatArray  # from mid-stroke
+    speed_mm_s: FloatArray
+    slip_mm: FloatArray  # since the last reversal
+    travel_m: FloatArray  # in all
+    direction: IntArray  # +1 while displacement grows (push), -1 while it falls
+    run: IntArray  # number of the run
+    used: BoolArray  # samples that are evidence
+    force_kN: FloatArray  # measured
+    before_kN: FloatArray  # by the base law
+    after_kN: FloatArray  # by the law with what was found
 
     @property
     def capacity_kN(self) -> float:

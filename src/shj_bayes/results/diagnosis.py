@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Annotated, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
-from shj_bayes.errors import ReportError, ShjError
 from shj_bayes.recording.smoothing import Refusal
-from shj_bayes.results.codec import IF_KNOWN, Probability, ProbabilityOrNone
+from shj_bayes.results.codec import IF_KNOWN, Probability, ProbabilityOrNone, Stored
 from shj_bayes.results.fit import Trust
 
 SCHEMA: Literal["shj-bayes/diagnosis/2"] = "shj-bayes/diagnosis/2"
@@ -307,13 +306,8 @@ class Input:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DiagnosisRecord:
+class DiagnosisRecord(Stored, file="diagnosis.json", command="shj-bayes diagnose"):
     """Content of ``diagnosis.json``."""
-
-    FILE: ClassVar[str] = "diagnosis.json"
-    ERROR: ClassVar[type[ShjError]] = ReportError
-    MISSING: ClassVar[str] = "holds no diagnosis.json; run shj-bayes diagnose first"
-    AGAIN: ClassVar[str] = "run the diagnosis again"
 
     schema: Literal["shj-bayes/diagnosis/2", "shj-bayes/diagnosis/1"] = SCHEMA
     device: str = "Device"
@@ -361,17 +355,12 @@ class DiagnosisRecord:
 
 
 @dataclass(frozen=True)
-class LeftOver:
+class LeftOver(Stored, file="residual.json", command="shj-bayes fit"):
     """Content of ``residual.json``: how much of the force the model leaves unexplained.
 
     A size, not a test. Whether the cycles scatter more than the model allows is judged by the fit, and whether physics
     is missing by the diagnosis; what they found is repeated here, so that no page says anything else.
     """
-
-    FILE: ClassVar[str] = "residual.json"
-    ERROR: ClassVar[type[ShjError]] = ReportError
-    MISSING: ClassVar[str] = "holds no residual.json"
-    AGAIN: ClassVar[str] = "run the fit again"
 
     schema: Literal["shj-bayes/residual/1", "shj-bayes/residual/2"] = field(
         default="shj-bayes/residual/2", kw_only=True

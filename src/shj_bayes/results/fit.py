@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
-from shj_bayes.errors import InferenceError, ReportError, ShjError
+from shj_bayes.errors import InferenceError
 from shj_bayes.recording.recording import Finding
+from shj_bayes.results.codec import Stored
 
 SCHEMA: Literal["shj-bayes/fit/2"] = "shj-bayes/fit/2"
 Sha256 = Annotated[str | None, {"pattern": "^([0-9a-f]{64})?$"}]
@@ -166,13 +167,8 @@ class RemarkRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FitRecord:
+class FitRecord(Stored, file="fit.json", command="shj-bayes fit", error=InferenceError):
     """Content of ``fit.json``."""
-
-    FILE: ClassVar[str] = "fit.json"
-    ERROR: ClassVar[type[ShjError]] = InferenceError
-    MISSING: ClassVar[str] = "holds no finished fit (no fit.json in it); run shj-bayes fit"
-    AGAIN: ClassVar[str] = "run the fit again"
 
     schema: Literal["shj-bayes/fit/1", "shj-bayes/fit/2"] = SCHEMA
     device: str
@@ -215,13 +211,8 @@ class FitRecord:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SummaryRecord:
+class SummaryRecord(Stored, file="summary.json", command="shj-bayes fit"):
     """Content of ``summary.json``: the parameter table alone."""
-
-    FILE: ClassVar[str] = "summary.json"
-    ERROR: ClassVar[type[ShjError]] = ReportError
-    MISSING: ClassVar[str] = "holds no summary.json; run shj-bayes fit"
-    AGAIN: ClassVar[str] = "run the fit again"
 
     schema: Literal["shj-bayes/fit/1", "shj-bayes/fit/2"] = SCHEMA
     parameters: Annotated[tuple[ParameterRow, ...], {"minItems": 1}]

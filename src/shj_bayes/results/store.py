@@ -9,7 +9,9 @@ from copy import deepcopy
 from dataclasses import dataclass, fields
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol, TypeVar, get_args, get_type_hints
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_type_hints
+
+import numpy as np
 
 import shj_bayes
 from shj_bayes._util.files import (
@@ -28,7 +30,7 @@ from shj_bayes._util.files import (
 from shj_bayes._util.imports import arviz
 from shj_bayes._util.processes import vet
 from shj_bayes.errors import InferenceError, ShjError
-from shj_bayes.results.codec import from_json, to_json
+from shj_bayes.results.codec import Stored, from_json, to_json
 from shj_bayes.results.diagnosis import DiagnosisRecord
 from shj_bayes.results.fit import FitRecord
 
@@ -43,19 +45,10 @@ _TRUSTED: set[tuple[str, str]] = set()  # digest, and group or "" for all, of ne
 Said = TypeVar("Said")
 
 
-class _Stored(Protocol):
-    """A record that has a file of its own."""
-
-    FILE: ClassVar[str]
-    ERROR: ClassVar[type[ShjError]]
-    MISSING: ClassVar[str]  # what is said of a folder without the file
-    AGAIN: ClassVar[str]  # what to do about a damaged one
+Kind = TypeVar("Kind", bound=Stored)
 
 
-Kind = TypeVar("Kind", bound=_Stored)
-
-
-def has(kind: type[_Stored], folder: Path) -> bool:
+def has(kind: type[Stored], folder: Path) -> bool:
     """Whether a folder holds the file of a record."""
     return (folder / kind.FILE).is_file()
 
@@ -64,23 +57,28 @@ def read(kind: type[Kind], folder: Path) -> Kind:
     """Read a record; the error of its kind where the file is missing, damaged, altered or of another schema."""
     path = folder / kind.FILE
     if not path.exists():
-        raise kind.ERROR(f"{folder.name} {kind.MISSING}")
-    found: Kind = _record(kind, path, read_bytes(path, MAX_JSON, kind.ERROR))
+        raise kind.ERROR(f"{folder.name} holds no {kind.FILE}; run {kind.COMMAND} first")
+    of_kind: Any = kind
+    found: Kind = _record(of_kind, path, read_bytes(path, MAX_JSON, kind.ERROR))
     return found
 
 
 @lru_cache(maxsize=HELD)
-def _record(kind: type[_Stored], path: Path, raw: bytes) -> Any:
+def _record(kind: type[Stored], path: Path, raw: bytes) -> Any:
     """Make the record of what was read of its file; a summary asks for those of a device a dozen times."""
-    folder, content = path.parent, json_of(raw, path, kind.ERROR)
+    content, where = json_of(raw, path, kind.ERROR), f"{kind.FILE} in {path.parent.name}"
     schemas = get_args(get_type_hints(kind)["schema"])
     if not isinstance(content, dict) or content.get("schema") not in schemas:
-        raise kind.ERROR(f"{kind.FILE} in {folder.name} has none of the schemas {', '.join(schemas)}; {kind.AGAIN}")
+        raise kind.ERROR(f"{where} has none of the schemas {', '.join(schemas)}; {_mend(kind)}")
     check_seal(content, path, kind.ERROR)
     try:
         return from_json(kind, content)
     except (ValueError, ShjError) as error:
-        raise kind.ERROR(f"{kind.FILE} in {folder.name}: {error}; {kind.AGAIN}") from error
+        raise kind.ERROR(f"{where}: {error}; {_mend(kind)}") from error
+
+
+def _mend(kind: type[Stored]) -> str:
+    return f"restore it, or run {kind.COMMAND} again"
 
 
 def content_of(path: Path, error: type[ShjError]) -> Any:
@@ -113,24 +111,31 @@ def write(record: Any, folder: Path, *, allow_nan: bool = False, ascii_only: boo
 
 def write_arrays(arrays: Mapping[str, Any], path: Path) -> str:
     """Write arrays of numbers, whole or not at all, and give the digest of the file."""
-    import numpy as np  # noqa: PLC0415  (who reads only records need not load it)
-
     with replacing(path) as part, part.open("wb") as stream:
         np.savez(stream, **arrays)
     return file_digest(path)
 
 
-def read_arrays(path: Path, kind: type[_Stored], sha256: str | None) -> dict[str, Any]:
-    """Read back what `write_arrays` wrote beside a record; the error of its kind where the file is not that one."""
-    import numpy as np  # noqa: PLC0415  (as above)
-
+def refuse_altered(path: Path, kind: type[Stored], sha256: str | None) -> None:
+    """Refuse a file beside a record that is missing, or has another digest than the record says, where it does."""
     if not path.is_file():
-        raise kind.ERROR(f"{path.name} is missing in {path.parent.name}; {kind.AGAIN}")
+        raise kind.ERROR(f"{path.name} is missing in {path.parent.name}; {_mend(kind)}")
     if sha256 not in (None, file_digest(path)):
         raise kind.ERROR(
             f"{path.name} in {path.parent.name} was cut short or altered after it was written (its SHA-256 is not the "
-            f"one in {kind.FILE}); restore it or run the command again"
+            f"one in {kind.FILE}); {_mend(kind)}"
         )
+
+
+def check_files(folder: Path, record: FitRecord) -> None:
+    """Refuse files of a fit that are missing or altered; a fit of an earlier version has no digests."""
+    for name in FILES:
+        refuse_altered(folder / name, FitRecord, record.files.get(name))
+
+
+def read_arrays(path: Path, kind: type[Stored], sha256: str | None) -> dict[str, Any]:
+    """Read back what `write_arrays` wrote beside a record; the error of its kind where the file is not that one."""
+    refuse_altered(path, kind, sha256)
     with damage_told(f"{kind.FILE} or {path.name} in {path.parent.name}", kind.ERROR):
         refuse_packed(path, kind.ERROR)
         with np.load(path, allow_pickle=False) as archive:
@@ -139,8 +144,6 @@ def read_arrays(path: Path, kind: type[_Stored], sha256: str | None) -> dict[str
 
 def packed(arrays: Mapping[str, Any]) -> dict[str, Any]:
     """Arrays as one of each kind, with an index of them: hundreds of small ones take long to find in a file."""
-    import numpy as np  # noqa: PLC0415  (as above)
-
     kinds: dict[str, list[tuple[str, Any]]] = {}
     for name, array in arrays.items():
         kinds.setdefault(array.dtype.name, []).append((name, array))
@@ -151,8 +154,6 @@ def packed(arrays: Mapping[str, Any]) -> dict[str, Any]:
 
 def unpacked(whole: Mapping[str, Any]) -> dict[str, Any]:
     """Undo `packed`."""
-    import numpy as np  # noqa: PLC0415  (as above)
-
     out: dict[str, Any] = {}
     for kind, own in json.loads(whole["index"].tobytes()).items():
         parts = np.split(whole[kind], np.cumsum([math.prod(shape) for _, shape in own])[:-1])
@@ -172,7 +173,7 @@ def write_netcdf(path: Path, groups: Mapping[str, Group], words: Mapping[str, An
 
     Through xarray that took half a second more, and the second of importing it and pandas.
     """
-    import h5netcdf  # noqa: PLC0415  (as above)
+    import h5netcdf  # noqa: PLC0415  (who reads only records need not load it)
 
     with h5netcdf.File(path, "w") as file:
         file.attrs.update(words or {})
@@ -261,28 +262,9 @@ def digest_of(value: Any) -> str:
     return own.hexdigest()
 
 
-def check_files(folder: Path, record: FitRecord) -> None:
-    """Refuse files of a fit that are missing or altered; a fit of an earlier version has no digests."""
-    for name in FILES:
-        path = folder / name
-        if not path.is_file():
-            raise InferenceError(f"{name} is missing in {folder.name}; run the fit again")
-        wanted = record.files.get(name)
-        if wanted is not None and file_digest(path) != wanted:
-            raise InferenceError(
-                f"{name} in {folder.name} was cut short or altered after it was written (its SHA-256 is not the one "
-                "in fit.json); restore it or run the fit again"
-            )
-
-
 @dataclass(frozen=True, kw_only=True)
-class StageCache:
+class StageCache(Stored, file="made.json", command="the command", error=ShjError):
     """Content of ``made.json``: by stage the digest of what it rests on, those of its files, and what it said."""
-
-    FILE: ClassVar[str] = "made.json"
-    ERROR: ClassVar[type[ShjError]] = ShjError
-    MISSING: ClassVar[str] = "holds no finished stages"
-    AGAIN: ClassVar[str] = "run the command again"
 
     schema: Literal["shj-bayes/made/1"] = "shj-bayes/made/1"
     stages: Mapping[str, Mapping[str, Any]]

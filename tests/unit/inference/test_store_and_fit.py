@@ -46,7 +46,7 @@ FORCE = "force_of_half_cycle"
 def test_fit_holds_the_truth(fitted: Fitted, truth: Truth, as_vector: Callable[..., np.ndarray]) -> None:
     result = fitted[0]
     assert result.verdict.word == "reliable", result.verdict.reasons
-    values = as_vector(result.posterior, truth)[0]
+    values = as_vector(result.likelihood, truth)[0]
     z = (values - result.summary["mean"]) / result.summary["sd"]
     assert np.abs(z).max() < 4
     assert np.mean(np.abs(z) < 2) >= 0.7
@@ -59,7 +59,7 @@ def test_summary_has_the_columns_of_the_interface(fitted: Fitted) -> None:
     assert list(table.columns) == [*COLUMNS, "schema"]
     written = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert sorted(written) == ["parameters", "schema"]
-    assert [list(row) for row in written["parameters"]] == [COLUMNS] * len(result.posterior.model.names)
+    assert [list(row) for row in written["parameters"]] == [COLUMNS] * len(result.likelihood.model.names)
     for column in COLUMNS[2:]:
         np.testing.assert_allclose(table[column], result.summary[column], rtol=1e-12)
         np.testing.assert_allclose([row[column] for row in written["parameters"]], result.summary[column], rtol=1e-11)
@@ -77,7 +77,7 @@ def test_record_says_where_everything_comes_from(fitted: Fitted) -> None:
     assert (record.seed, record.key, record.device) == (3, "abc", "small")
     assert {name: record.versions[name] for name in store.PACKAGES} == {n: version(n) for n in store.PACKAGES}
     assert [entry.name for entry in record.inputs] == ["simulated-run1", "simulated-run2"]
-    assert [law.name for law in record.prior_laws] == list(result.posterior.model.names)
+    assert [law.name for law in record.prior_laws] == list(result.likelihood.model.names)
     assert all(law.source for law in record.prior_laws)
 
 
@@ -96,7 +96,7 @@ def test_groups_read_back_as_they_were_made(fitted: Fitted) -> None:
             assert read.attrs["meaning"], (group, name)
         assert back[group].attrs["inference_library"] == LIBRARY
         assert {"meaning", "inference_library_version", "creation_library_version"} <= set(back[group].attrs)
-    assert list(back["posterior"].data_vars) == list(result.posterior.model.names)
+    assert list(back["posterior"].data_vars) == list(result.likelihood.model.names)
     assert back["posterior"].sizes["chain"] == 4
     assert back.attrs["schema"] == SCHEMA
     record = store_file.read(FitRecord, folder)
@@ -118,7 +118,7 @@ def test_stored_draws_are_the_posterior_of_the_summary(fitted: Fitted) -> None:
 def test_draws_and_densities_belong_together(fitted: Fitted) -> None:
     """Where no interval was widened, the density of a stored draw is the one that was stored for it."""
     result = fitted[0]
-    posterior, data = result.posterior, result.data
+    posterior, data = result.likelihood, result.data
     assert not result.widening.widened
     theta = np.stack([data["posterior"][n].to_numpy()[2, :5] for n in posterior.model.names], axis=1)
     lp = data["sample_stats"]["lp"].to_numpy()
@@ -140,7 +140,7 @@ def test_one_observable_in_all_groups(fitted: Fitted) -> None:
     result = fitted[0]
     data, n_draws = result.data, result.data["posterior"].sizes["draw"]
     assert 0.5 * store.N_STORED <= n_draws <= 1.05 * store.N_STORED
-    n = sum(run.motion.n_half for run in result.posterior.runs)
+    n = sum(run.motion.n_half for run in result.likelihood.runs)
     assert data["observed_data"][FORCE].dims == ("half_cycle",)
     for group in ("posterior_predictive", "log_likelihood"):
         assert data[group][FORCE].shape == (4, n_draws, n)
@@ -150,7 +150,7 @@ def test_one_observable_in_all_groups(fitted: Fitted) -> None:
         assert values["run"].to_numpy().tolist() == [1] * (n // 2) + [2] * (n // 2)
         assert values["number"].to_numpy().tolist() == [*range(n // 2)] * 2
     measured = data["observed_data"][FORCE].to_numpy()
-    run = result.posterior.runs[1]
+    run = result.likelihood.runs[1]
     own = run.used & (run.motion.half_cycle == 3)
     expected = run.motion.direction[3] * run.recording.force_kN[own].mean()
     assert measured[n // 2 + 3] == pytest.approx(expected, rel=1e-12)
@@ -186,6 +186,20 @@ def test_means_are_those_of_all_samples(make_small: Callable[..., Likelihood], m
     )
     assert before.max() > 0.15
     assert after.max() < 0.08
+
+
+def test_weights_follow_a_long_tail(make_small: Callable[..., Likelihood], truth: Truth) -> None:
+    """Of a knee that the rate hardly resolves, where the log ratio of the likelihoods is no parabola."""
+    posterior, start = find_start(make_small(replace(truth, beta=60.0), rate_Hz=20.0, n_runs=1))
+    states, figures = run_ensembles(posterior, posterior.model.names, start, SamplingPlan(seed=3))
+    draws = np.stack([state.chain[figures.n_burn :].reshape(-1, start.free.size) for state in states])
+    some = draws.reshape(-1, start.free.size)[::10]
+    smooth = np.log(weights_of_all_samples(posterior, start, draws)[0].ravel()[::10])
+    some[:, posterior.model.n_law :] = start.free[posterior.model.n_law :]
+    fine = posterior.refined(start.free, longest_s=0.0)
+    exact = fine.log_posterior_free(some) - posterior.log_posterior_free(some)
+    assert np.std(exact) > 0.15
+    assert np.std(exact - smooth) < 0.012
 
 
 def test_samples_that_contradict_their_averages_weigh_nothing(make_small: Callable[..., Likelihood]) -> None:
@@ -235,7 +249,7 @@ def test_noise_at_low_speed_is_stated_and_drawn(
     """Draws at the points of a recording scatter as the noise at each speed does: 2.97 +- 0.022 over 30 seeds."""
     result, folder = fitted
     stated = read(FitRecord, folder).noise_at_rest
-    assert stated == pytest.approx(np.exp(result.posterior.at_rest))
+    assert stated == pytest.approx(np.exp(result.likelihood.at_rest))
     small = make_small(noise="independent", n_runs=1).with_noise_at_rest(np.log(3.0))
     theta = np.tile(small.model.laws.natural(np.zeros((1, len(small.model.names)))), (4000, 1))
     points = tuple(points_of(run, 10_000) for run in small.runs)
@@ -342,7 +356,7 @@ def test_predictions_cover_the_data(fitted: Fitted) -> None:
 @pytest.fixture(scope="module")
 def with_slack(fitted: Fitted, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Fit of the same recordings with an effect that the device has not."""
-    folder, posterior = tmp_path_factory.mktemp("slack"), fitted[0].posterior
+    folder, posterior = tmp_path_factory.mktemp("slack"), fitted[0].likelihood
     model = posterior.model.with_effects(effects_named(["slack"]))
     fit(posterior.runs, model, name="slack", plan=SamplingPlan(seed=3, max_steps=80), folder=folder)
     return folder
@@ -357,7 +371,7 @@ def test_what_arviz_offers_works_on_the_file(fitted: Fitted, with_slack: Path) -
     mpl.use("Agg")
     result, folder = fitted
     data, other = (az.from_netcdf(str(f / "posterior.nc"), engine="h5netcdf") for f in (folder, with_slack))
-    names = list(result.posterior.model.names)
+    names = list(result.likelihood.model.names)
     table = az.summary(data, round_to=10)
     assert list(table.index) == names
     np.testing.assert_allclose(table["mean"], [result.data["posterior"][n].mean() for n in names], rtol=1e-6)
@@ -397,7 +411,12 @@ def test_same_seed_same_numbers_and_a_finished_fit_is_not_repeated(fitted: Fitte
     result, folder = fitted
     assert (folder / CHECKPOINT).exists()
     again = fit(
-        result.posterior.runs, result.posterior.model, name="small", key="abc", plan=SamplingPlan(seed=3), folder=folder
+        result.likelihood.runs,
+        result.likelihood.model,
+        name="small",
+        key="abc",
+        plan=SamplingPlan(seed=3),
+        folder=folder,
     )
     pd.testing.assert_frame_equal(again.summary, result.summary, check_exact=True)
     for group in GROUPS:
@@ -418,9 +437,9 @@ def test_fit_without_a_folder_writes_nothing(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (None, "holds no finished fit (no fit.json in it); run shj-bayes fit"),
+        (None, "holds no fit.json; run shj-bayes fit first"),
         ("{", "fit.json is damaged: "),
-        ('{"schema": "other/1"}', "has none of the schemas shj-bayes/fit/1, shj-bayes/fit/2; run the fit again"),
+        ('{"schema": "other/1"}', "has none of the schemas shj-bayes/fit/1, shj-bayes/fit/2; restore it, or run shj"),
         ("[1]", "has none of the schemas"),
     ],
 )

@@ -80,9 +80,9 @@ def test_a_fit_shows_the_wider_intervals_and_is_not_reliable(misfit) -> None:
     words = misfit.verdict.reasons[-1]
     assert words.startswith("the cycles scatter more than the model and its noise allow")
     assert f"over {misfit.widening.n_pieces} cycles" in words
-    _, start = find_start(misfit.posterior)
+    _, start = find_start(misfit.likelihood)
     gaussian = np.sqrt(np.diag(start.covariance))
-    shown = misfit.posterior.model.laws.unbounded(draws_of(misfit)).std(axis=0)
+    shown = misfit.likelihood.model.laws.unbounded(draws_of(misfit)).std(axis=0)
     i = misfit.widening.names.index("Fy")
     assert shown[i] == pytest.approx(gaussian[i] * misfit.widening.factor[i], rel=0.2)
     cycles = misfit.record.cycles
@@ -92,7 +92,7 @@ def test_a_fit_shows_the_wider_intervals_and_is_not_reliable(misfit) -> None:
 
 
 def draws_of(result) -> np.ndarray:
-    return np.stack([result.data.posterior[name].to_numpy().ravel() for name in result.posterior.model.names], axis=1)
+    return np.stack([result.data.posterior[name].to_numpy().ravel() for name in result.likelihood.model.names], axis=1)
 
 
 def test_the_table_and_the_stored_draws_are_as_wide_as_each_other(misfit) -> None:

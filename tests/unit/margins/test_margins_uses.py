@@ -171,12 +171,12 @@ def test_the_card_says_what_it_is_what_it_holds_for_and_which_row_serves_which_c
     assert facts["ONE connection"].startswith("2 bolts M16, 2 sliding surfaces, clamped with 95 kN a bolt, slot 220 mm")
     assert facts["tested"].startswith("slip of 5.94 to 95 mm, cycles of 9.8 to 10.2 mm/s")
     assert facts["holds for"].startswith("90 % of new devices at every speed from standstill to 10.2 mm/s")
-    lines = {line.use: line for line in card_of(sheet, name)}
+    lines = {use: values for use, _, values in card_of(sheet, name)}
     assert next(iter(lines)) == "all events: use these two"
-    assert lines["second event"].low.value == sheet.by_key["Zinc 70", "force", "in a second event", LOW].value
-    assert lines["ASCE 7: two analyses"].high.kind == "ASCE 7 upper bound force"
-    assert lines["EN 15129: LBDP, UBDP"].low.kind == "EN 15129 LBDP, importance class II"
-    assert lines["EN 1990: X_k"].low.quantity == "lowest"
+    assert lines["second event"][LOW].value == sheet.by_key["Zinc 70", "force", "in a second event", LOW].value
+    assert lines["ASCE 7: two analyses"][HIGH].kind == "ASCE 7 upper bound force"
+    assert lines["EN 15129: LBDP, UBDP"][LOW].kind == "EN 15129 LBDP, importance class II"
+    assert lines["EN 1990: X_k"][LOW].quantity == "lowest"
     text = "\n".join(card_lines(sheet))
     assert "slip amplitude, mm" in text
     assert "90 % of new devices" in text

@@ -110,11 +110,12 @@ def test_where_a_constant_was_fitted_first_the_law_alone_is_followed_too(trials,
 
 
 def test_a_load_cell_that_is_off_by_more_than_matters_is_a_constant_force(trials, look):
-    """1.5 % of Fy in both runs is within three standard deviations of a zero before the test."""
+    """1.5 % of Fy in both runs is within three standard deviations of a zero; push and pull may differ with 7 %."""
     recordings = [Recording(r.time_s, r.displacement_mm, r.force_kN + 1.0) for r in trials.simulate({}, 52)]
     record = look(recordings).content
-    assert record["verdict"] == "named"
-    assert names(record) == {"load_offset"}
+    assert record["coordinates"][0]["coordinate"] == "constant"
+    assert record["coordinates"][0]["probability"] > 0.9
+    assert [effect["id"] for effect in record["effects"]] == ["load_offset"]
 
 
 def test_a_constant_of_many_times_the_friction_is_as_large_as_it_is(trials):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ from shj_bayes.mismatch import content, findings
 from shj_bayes.mismatch import hypothesis as sizes
 from shj_bayes.mismatch.data import ErrorModel
 from shj_bayes.mismatch.fitter import Fitter
+from shj_bayes.mismatch.hypothesis import LOG_PRIOR_ODDS
 from shj_bayes.mismatch.moves import DIRECTION, Search
 from shj_bayes.mismatch.periodic import Chatter
 
@@ -20,7 +22,7 @@ ACTS = {"delay": "motion", "constant": "added", "added over constant": "added", 
 
 def _hypothesis(*names):
     members = tuple(SimpleNamespace(of=SimpleNamespace(id=name, action=ACTS.get(name, "capacity"))) for name in names)
-    return SimpleNamespace(members=members, key=frozenset(names), log_weight=0.0)
+    return SimpleNamespace(members=members, key=frozenset(names), log_weight=0.0, state=None)
 
 
 def _quiet(**found):
@@ -42,11 +44,12 @@ def search(monkeypatch):
     }
     found = {frozenset(names): _hypothesis(*names) for names in known}
 
-    def draws(data, h, place):
+    def draws(data, h, place, z):
         """Every tenth draw is half as large again."""
         return known[tuple(m.of.id for m in h.members)][place] * np.array([1.0] * 9 + [1.5])
 
-    monkeypatch.setattr(sizes, "sizes_of", draws)
+    monkeypatch.setattr(sizes, "_sizes", draws)
+    monkeypatch.setattr(sizes, "drawn_from", lambda *_: None)
     own = {"data": None, "matters": 0.01, "matters_of": lambda h, place: 0.01, "best_within": lambda key: 0.0}
     return SimpleNamespace(found=found | {frozenset(): _hypothesis()}, **own)
 
@@ -68,7 +71,7 @@ def test_sizes_are_those_there_are_where_the_smaller_set_was_not_fitted(search):
 def test_a_constant_is_as_large_as_it_is_also_where_the_law_could_make_up_for_it(monkeypatch):
     """The law makes no constant, but where it begins loaded its slopes may look like one."""
     data = SimpleNamespace(blocks=SimpleNamespace(used=np.ones(40), n_samples=np.ones(40)), scale_kN=10.0)
-    monkeypatch.setattr(sizes, "force_of", lambda *_: np.full((1, 40), -3.0))
+    monkeypatch.setattr(sizes, "force_of", lambda data, h, place, z: np.full((len(z), 40), -3.0))
     monkeypatch.setattr(sizes, "_law_slopes", lambda *_: np.ones((40, 1)))
     for name, size in (("added over constant", 0.3), ("taper", 0.0)):
         h = _hypothesis(name)
@@ -80,15 +83,25 @@ def test_a_class_matters_when_the_upper_limit_of_its_size_does(search):
     assert findings.that_matter(search, search.found[frozenset({"taper"})]) == {"taper"}
 
 
-def test_a_draw_without_a_force_does_not_make_a_class_small(monkeypatch):
-    """One of 60 that overflows leaves the upper limit to the others."""
-    h = _hypothesis("delay", "wear")
-    h.state = SimpleNamespace(z=np.zeros(1))
-    forces = {0: np.where(np.arange(60) == 7, np.nan, 0.2), 1: np.full(60, 0.002)}
-    monkeypatch.setattr(sizes, "drawn_from", lambda state, n: np.zeros((n, 1)))
-    monkeypatch.setattr(sizes, "_sizes_at", lambda data, h, place, z: forces[place])
-    out = SimpleNamespace(data=None, found={}, matters_of=lambda h, place: 0.01)
-    assert findings.that_matter(out, h) == {"delay"}
+def test_the_upper_limit_of_a_size_is_of_forces_that_the_recording_allows(monkeypatch):
+    """A formula whose force is known to 10 % and its size and length are not has draws of any force."""
+    data = SimpleNamespace(blocks=SimpleNamespace(used=np.ones(40), n_samples=np.ones(40)), scale_kN=10.0)
+    h = _hypothesis("speed")
+    ridge = np.array([[1.0, -1.0], [-1.0, 1.0]])  # of the logarithms: the product is known
+    h.state = SimpleNamespace(z=np.zeros(2), covariance=9.0 * ridge + 0.005 * np.eye(2))
+    shape = np.sign(np.sin(np.arange(40.0)))
+    monkeypatch.setattr(sizes, "_law_slopes", lambda *_: np.ones((40, 1)))
+
+    def forces(data, h, place, z):
+        bent = 1.0 + 0.5 * z[:, 0] ** 2
+        return 0.05 * (np.exp(z.sum(axis=1)) * bent)[:, None] * shape
+
+    monkeypatch.setattr(sizes, "force_of", forces)
+    size = sizes.size_of(data, h, 0)
+    assert size == pytest.approx(0.005, rel=0.1)
+    assert sizes.largest_size_of(data, h, 0) == pytest.approx(1.17 * size, rel=0.07)
+    h.state.covariance = ridge + 9.0 * np.eye(2)
+    assert sizes.largest_size_of(data, h, 0) > 3.0 * size
 
 
 @pytest.mark.parametrize(
@@ -158,6 +171,7 @@ def test_that_nothing_is_missing_must_hold_with_95_per_cent_as_every_verdict_mus
     monkeypatch.setattr(findings, "truly_there", lambda out, h, key: {key: 1.0})
     monkeypatch.setattr(findings, "_split", lambda out, h, dropped: h)
     monkeypatch.setattr(findings, "discrepancy_size", lambda out, state: 0.0)
+    monkeypatch.setattr(findings, "_p_value", lambda out: 0.0)
     found = SimpleNamespace(size=0.02, named=True, names=(("drift", 1.0),))
     monkeypatch.setattr(findings, "_findings", lambda out, h, top, p: ((found,) * len(top), h))
     answer = findings.answer_of(out)
@@ -179,6 +193,20 @@ def test_a_class_in_every_hypothesis_is_there_with_a_probability_of_1_at_most(mo
     answer = findings.answer_of(_quiet(found={h.key: h for h in hypotheses}))
     assert answer.inclusion["drift"] == pytest.approx(1.0, abs=1e-15)
     assert answer.inclusion["drift"] <= 1.0
+
+
+@pytest.mark.parametrize(("times", "p"), [(1.0, 1.0), (20.0, 0.05)])
+def test_the_p_value_allows_for_all_classes_that_are_looked_for(times, p):
+    """Where each Bayes factor is 1 there is nothing to be said, however many there are."""
+    names = [f"capacity over {word}" for word in ("taper", "wear", "slip")]
+    found = {}
+    for n in range(4):
+        for own in combinations(names, n):
+            found[frozenset(own)] = h = _hypothesis(*own)
+            h.log_weight = n * LOG_PRIOR_ODDS + (np.log(times) if n else 0.0)
+    looked = [SimpleNamespace(of=SimpleNamespace(id=name)) for name in names]
+    out = SimpleNamespace(found=found, fitter=Fitter(looked, None))
+    assert findings._p_value(out) == pytest.approx(p)
 
 
 @pytest.mark.parametrize(("size_kN", "capped"), [(0.30, True), (0.29, False)])
@@ -216,10 +244,10 @@ def test_a_curve_is_not_taken_apart_into_what_was_dropped(monkeypatch):
     """Or what was found would be weighed for ever: dropped, found in the curve, dropped."""
     curve = SimpleNamespace(variant=SimpleNamespace(curve=SimpleNamespace(sides=True)), of=SimpleNamespace(id="x"))
     h = SimpleNamespace(members=(curve,), key=frozenset({"x"}))
-    out = SimpleNamespace(data=None, fitter=SimpleNamespace(classes={DIRECTION: None}))
+    out = SimpleNamespace(data=None, fitter=SimpleNamespace(classes={DIRECTION: None}, fitted=lambda *_: None))
     tried = []
     monkeypatch.setattr(findings, "tolerance", lambda *_: tried.append("apart") or 0.0)
-    monkeypatch.setattr(findings, "_in_place_of", lambda *_: [])
+    monkeypatch.setattr(findings, "without", lambda *_: ())
     monkeypatch.setattr(findings, "beside_direction", lambda *_: SimpleNamespace(found={}))
     assert findings._split(out, h, [DIRECTION]) is h
     assert tried == []

@@ -9,10 +9,9 @@ from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.data import ErrorModel, ErrorParameters, data_of
 from shj_bayes.mismatch.findings import _missed_instead, answer_of
 from shj_bayes.mismatch.fitter import Fitter, noise_of_size
-from shj_bayes.mismatch.hypothesis import candidates, classes, joined
+from shj_bayes.mismatch.hypothesis import beside_missed, candidates, classes, curves_of, joined, missed_by
 from shj_bayes.mismatch.laplace import find_noise, laplace_under
 from shj_bayes.mismatch.moves import Search
-from shj_bayes.mismatch.screen import beside_missed, curves_of, missed_by
 from shj_bayes.mismatch.search import search
 from shj_bayes.model.device import DeviceModel
 from shj_bayes.model.priors import read_priors

@@ -9,7 +9,7 @@ from shj_bayes.inference.binning import runs_of
 from shj_bayes.mismatch.data import ErrorModel, data_of
 from shj_bayes.mismatch.findings import answer_of, curve_band, that_matter
 from shj_bayes.mismatch.fitter import Fitter
-from shj_bayes.mismatch.hypothesis import CONSTANT, DIRECTION, PRIOR_INCLUSION, cancel, classes
+from shj_bayes.mismatch.hypothesis import CONSTANT, DIRECTION, PRIOR_INCLUSION, cancel, classes, replaced
 from shj_bayes.mismatch.moves import RIVAL, moving, refit_noise, replace_by_formula
 from shj_bayes.mismatch.periodic import follows_cycles, of_whole_cycles
 from shj_bayes.mismatch.search import search
@@ -38,6 +38,22 @@ def test_two_dependences_are_found_that_one_curve_over_another_coordinate_follow
     drawn = {f.member.of.coordinate: curve_band(out, f)["mean"] for f in answer_of(out).findings}
     assert np.ptp(drawn["time"][10:]) == pytest.approx(2 * 4.5, rel=0.3)
     assert drawn["heat"].min() < -8.0
+
+
+def test_a_class_has_the_weight_of_all_formulas_that_do_as_well(trials):
+    """Wear that is small is the same by three formulas: that there are three makes it no less probable."""
+    out = _searched(trials, {"wear": {"size": 0.004}}, ("travel",))
+    (worn,) = (i for i, m in enumerate(out.best.members) if m.of.coordinate == "travel")
+    forms = out.fitter.forms(out.best, worn)
+    ones: dict[str, float] = {}
+    for form in forms:
+        one = out.fitter.fitted(replaced(out.best, worn, form), form.start)
+        if one is not None:
+            ones[form.variant.effect.id] = max(ones.get(form.variant.effect.id, -np.inf), one.log_weight)
+    assert out.best.members[worn].variant.effect.id == max(ones, key=ones.get)
+    whole = float(np.logaddexp.reduce(list(ones.values())))
+    assert max(ones.values()) + 0.2 < whole
+    assert out.best.log_weight == pytest.approx(whole, abs=0.15)
 
 
 def test_a_formula_over_position_is_found_beside_one_over_the_distance(trials):

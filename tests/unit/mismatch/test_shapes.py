@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from shj_bayes.mismatch.hypothesis import formula_of
+from shj_bayes.mismatch.regions import formula_of
 
 
 def formula(curve: np.ndarray, at: np.ndarray, half: float = 0.3, name: str = "x", unit: str = "mm") -> str | None:

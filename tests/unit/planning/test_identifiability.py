@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from shj_bayes.bench.work import check_lines, confusion_rows, doubt_lines, parameter_rows
+from shj_bayes.bench.work import answer_words
 from shj_bayes.inference.binning import runs_of
 from shj_bayes.inference.fit import fit
 from shj_bayes.inference.sampler import SamplingPlan
@@ -47,9 +47,9 @@ def test_what_a_protocol_cannot_tell_is_told_by_another(plain: Identifiability) 
     pair = ("inertia", "restoring")
     assert pair in [one.pair for one in one_period.confusions]
     assert pair not in [one.pair for one in several.confusions]
-    assert all(row["test"] and row["first"] and row["second"] for row in confusion_rows(one_period))
+    assert all(row["test"] and row["first"] and row["second"] for row in answer_words(one_period, "afc")["confusions"])
     assert plain.one_speed_mm_s == pytest.approx(10.0, rel=0.05)
-    assert any("same peak speed" in line for line in check_lines(plain, "afc"))
+    assert any("same peak speed" in line for line in answer_words(plain, "afc")["lines"])
     assert several.one_speed_mm_s is None
 
 
@@ -68,17 +68,20 @@ def test_widths_shrink_with_the_test_and_the_plateau_is_foretold(plain: Identifi
 def test_no_sliding_is_a_doubt_and_few_readings_are_told() -> None:
     elastic = said_of((Block(1.0, 0.2, 6),))
     assert elastic.doubts == (Doubt.NEVER_SLIDES,)
-    assert "prior" in doubt_lines(elastic)[0]
+    assert "prior" in answer_words(elastic, "afc")["reasons"][0]
     assert elastic.least_kN is None
+    no_top = answer_words(Identifiability(doubts=(Doubt.NO_TOP,)), "afc")
+    assert (no_top["rows"], no_top["headline"]) == ([], "")
+    assert "columns" in no_top["reasons"][0]
     slow, fast = said_of(ONE_SPEED, rate_Hz=40.0), said_of(ONE_SPEED, rate_Hz=1.5)
     assert not slow.few_readings
     assert fast.few_readings
-    assert any("higher rate" in line for line in check_lines(fast, "afc"))
+    assert any("higher rate" in line for line in answer_words(fast, "afc")["lines"])
 
 
 def test_rows_have_units_and_forces_of_small_devices_are_in_newtons(plain: Identifiability) -> None:
-    rows = {row["name"]: row for row in parameter_rows(plain)}
+    rows = {row["name"]: row for row in answer_words(plain, "afc")["rows"]}
     assert (rows["Fy"]["unit"], rows["K"]["unit"], rows["beta"]["unit"]) == ("kN", "kN/mm", "")
     runs = runs_of(simulate_device(SMALL, seed=2, rate_Hz=8.0, n_runs=1, blocks=ONE_SPEED))
     small = first_answer(runs, DeviceModel(1, read_priors("general")), threads=1)[0]
-    assert {row["name"]: row["unit"] for row in parameter_rows(small)}["Fy"] == "N"
+    assert {row["name"]: row["unit"] for row in answer_words(small, "general")["rows"]}["Fy"] == "N"

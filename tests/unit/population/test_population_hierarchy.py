@@ -13,11 +13,12 @@ from shj_bayes.population.device import DeviceEstimate, published_devices, sets_
 from shj_bayes.population.hierarchy import cells_of, fit_population, fit_quantity, integrate
 from shj_bayes.population.quantities import (
     QuantityLikelihood,
-    Rounded,
     of_draws,
     other_priors,
     population_prior,
     quantity,
+    rounded,
+    to_step,
 )
 
 FY = quantity("Fy")
@@ -66,7 +67,7 @@ def test_one_set_of_two_rounded_values_against_a_grid(prior):
     posterior = likelihood * p_level[:, None] * p_spread
     fit = fit_quantity(
         "Fy",
-        [[Rounded.to_step(v, 5.0).of("Fy") for v in (75.0, 95.0)]],
+        [[rounded("Fy", to_step(v, 5.0)) for v in (75.0, 95.0)]],
         prior,
         np.random.SeedSequence(5),
     )
@@ -117,7 +118,7 @@ STUDENT = 0.1 * np.random.default_rng(2).standard_t(2.5, 4000)
 HARD = {
     "one device": [devices_of((4.4, 0.03))],
     "one of each": [devices_of((v, 0.02)) for v in (4.2, 4.5, 4.3, 4.9, 4.4)],
-    "equal": [[Rounded.to_step(90.0, 5.0).of("Fy")] * 2] * 6,
+    "equal": [[rounded("Fy", to_step(90.0, 5.0))] * 2] * 6,
     "exact": [devices_of((4.1, 1e-6), (4.3, 1e-6)), devices_of((4.5, 1e-6), (4.6, 1e-6), (4.2, 1e-6))],
     "one known badly": [devices_of((4.4, 0.05), (4.5, 0.05), (3.5, 1.5)), devices_of((4.6, 2.0)), []],
     "heavy tails": [[of_draws("Fy", np.exp(m + k * STUDENT), np.zeros(4000)) for m, k in ((4.3, 1), (4.5, 3))]],
@@ -184,7 +185,7 @@ def test_gaussian_case_against_its_closed_form(kind, rng):
 def test_identical_rounded_values_do_not_give_zero_spread():
     def spread(step, name="default"):
         prior = PRIOR if name == "default" else other_priors(PRIOR)[name]
-        sets = [[Rounded.to_step(90.0, step).of("Fy")] * 2 for _ in range(3)]
+        sets = [[rounded("Fy", to_step(90.0, step))] * 2 for _ in range(3)]
         return np.quantile(fit_quantity("Fy", sets, prior, np.random.SeedSequence(2)).tau[:, 0], 0.5)
 
     coarse, fine = spread(5.0), spread(0.05)
@@ -195,7 +196,7 @@ def test_identical_rounded_values_do_not_give_zero_spread():
 
 def test_one_device_is_wider_than_eight(rng):
     def width(n):
-        values = [Rounded.to_step(v, 1.0).of("Fy") for v in 80 * np.exp(0.1 * stats.norm.ppf((np.arange(n) + 0.5) / n))]
+        values = [rounded("Fy", to_step(v, 1.0)) for v in 80 * np.exp(0.1 * stats.norm.ppf((np.arange(n) + 0.5) / n))]
         fit = fit_quantity("Fy", [values], PRIOR, np.random.SeedSequence(2))
         new = np.random.default_rng(1).normal(fit.mu[:, 0], fit.tau[:, 0])
         return np.ptp(np.quantile(new, [0.05, 0.95]))
@@ -210,7 +211,7 @@ def new_device_coverage(n_devices, n_campaigns, *, ignore_spread=False, n_sets=5
         rng = np.random.default_rng([19, n_devices, c])
         mu, tau = rng.normal(np.log(80), 0.3, n_sets), 0.2 * np.exp(rng.normal(0, 0.5, n_sets))
         printed = 5.0 * np.maximum(np.round(np.exp(rng.normal(mu, tau, (n_devices, n_sets))) / 5.0), 1.0)
-        sets = [[Rounded.to_step(v, 5.0).of("Fy") for v in printed[:, s]] for s in range(n_sets)]
+        sets = [[rounded("Fy", to_step(v, 5.0)) for v in printed[:, s]] for s in range(n_sets)]
         fit = fit_quantity("Fy", sets, PRIOR, np.random.SeedSequence([19, c]))
         new = fit.mu if ignore_spread else rng.normal(fit.mu, fit.tau)
         low, high = np.quantile(new, [0.05, 0.95], axis=0)
@@ -235,7 +236,7 @@ def test_a_band_that_ignores_the_spread_fails_the_same_test():
 def test_same_seed_same_numbers_whatever_the_other_quantities():
     def devices(*names):
         return [
-            DeviceEstimate(f"{s}{v}", s, {q: Rounded.to_step(v, 5.0).of(q) for q in names})
+            DeviceEstimate(f"{s}{v}", s, {q: rounded(q, to_step(v, 5.0)) for q in names})
             for s, v in (("a", 80), ("a", 90), ("b", 60))
         ]
 
@@ -247,12 +248,12 @@ def test_same_seed_same_numbers_whatever_the_other_quantities():
 
 def test_global_random_state_is_not_touched(result):
     state = np.random.get_state()[1].copy()  # noqa: NPY002
-    fit_population([DeviceEstimate("a", "s", {"Fy": Rounded(80, 75, 85).of("Fy")})], seed=1)
+    fit_population([DeviceEstimate("a", "s", {"Fy": rounded("Fy", (80, 75, 85))})], seed=1)
     assert np.array_equal(state, np.random.get_state()[1])  # noqa: NPY002
 
 
 def test_far_apart_devices_are_still_pooled():
-    sets = [[Rounded.to_step(v, 0.001).of("Fy") for v in (0.01, 80_000.0)]]
+    sets = [[rounded("Fy", to_step(v, 0.001)) for v in (0.01, 80_000.0)]]
     fit = fit_quantity("Fy", sets, PRIOR, np.random.SeedSequence(1))
     assert np.all(np.isfinite(fit.mu))
     assert np.median(fit.tau) > 3
@@ -260,7 +261,7 @@ def test_far_apart_devices_are_still_pooled():
 
 def test_a_negative_seed_and_an_empty_quantity_are_refused():
     with pytest.raises(PopulationError, match="seed must be zero"):
-        fit_population([DeviceEstimate("a", "s", {"Fy": Rounded(80, 75, 85).of("Fy")})], seed=-1)
+        fit_population([DeviceEstimate("a", "s", {"Fy": rounded("Fy", (80, 75, 85))})], seed=-1)
     with pytest.raises(PopulationError, match="nothing to pool"):
         fit_quantity("Fy", [[]], PRIOR, np.random.SeedSequence(1))
     with pytest.raises(PopulationError, match="every scale"):

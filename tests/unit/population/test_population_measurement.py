@@ -1,33 +1,43 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy import integrate, stats
 
 from shj_bayes.errors import PopulationError
-from shj_bayes.population.device import DeviceEstimate, Tags, sets_of
+from shj_bayes.model.priors import read_priors
+from shj_bayes.population.device import DeviceEstimate, Tags, device_from_fit, sets_of
 from shj_bayes.population.hierarchy import log_likelihood
-from shj_bayes.population.quantities import Ordered, QuantityLikelihood, Rounded, of_draws, ratio_of
+from shj_bayes.population.quantities import (
+    Ordered,
+    QuantityLikelihood,
+    gamma_of_dep,
+    of_draws,
+    ratio_of,
+    rounded,
+    to_decade,
+    to_step,
+)
+from shj_bayes.results.device import DeviceResult
 
 
 def test_dep_of_30_stands_for_15_to_45():
-    known = Rounded.gamma_of_dep(30.0, 30.0)
-    assert (known.lower, known.upper) == pytest.approx((1 / 45, 1 / 15))
-    mirrored = Rounded.gamma_of_dep(-30.0, 30.0)
-    assert (mirrored.lower, mirrored.upper) == pytest.approx((-1 / 15, -1 / 45))
+    assert gamma_of_dep(30.0, 30.0)[1:] == pytest.approx((1 / 45, 1 / 15))
+    assert gamma_of_dep(-30.0, 30.0)[1:] == pytest.approx((-1 / 15, -1 / 45))
 
 
 def test_dep_that_reaches_zero_is_refused():
     with pytest.raises(PopulationError, match="no bound"):
-        Rounded.gamma_of_dep(10.0, 30.0)
+        gamma_of_dep(10.0, 30.0)
 
 
 def test_decade():
-    known = Rounded.to_decade(100.0)
-    assert (known.lower, known.upper) == pytest.approx((100 / 10**0.5, 100 * 10**0.5))
+    assert to_decade(100.0)[1:] == pytest.approx((100 / 10**0.5, 100 * 10**0.5))
 
 
 @pytest.mark.parametrize(("mu", "tau"), [(4.4, 0.2), (4.4, 1e-4), (3.0, 0.1), (6.0, 0.1), (4.36, 0.01)])
 def test_rounded_value_is_integrated_exactly(mu, tau):
-    likelihood = Rounded.to_step(80.0, 5.0).of("Fy")
+    likelihood = rounded("Fy", to_step(80.0, 5.0))
     low, high = np.log([77.5, 82.5])
     ends = [stats.norm.logsf(low, mu, tau), stats.norm.logsf(high, mu, tau)]
     if low <= mu:
@@ -38,7 +48,7 @@ def test_rounded_value_is_integrated_exactly(mu, tau):
 
 
 def test_ratio_of_rounded_values_has_the_right_density(rng):
-    found = ratio_of(Rounded.to_step(20.0, 5.0), Rounded.to_step(50.0, 5.0)).centre_and_sd
+    found = ratio_of(to_step(20.0, 5.0), to_step(50.0, 5.0)).centre_and_sd
     u = np.log(rng.uniform(17.5, 22.5, 400_000) / rng.uniform(47.5, 52.5, 400_000))
     assert found[0] == pytest.approx(u.mean(), abs=2e-3)
     assert found[1] == pytest.approx(u.std(), rel=0.05)
@@ -81,14 +91,12 @@ def test_a_posterior_that_is_only_prior_is_refused(rng):
         (lambda: of_draws("Fy", np.ones(100), np.zeros(100)), "all posterior draws of Fy are equal"),
         (lambda: of_draws("Fy", np.ones(100), np.full(100, -np.inf)), "finite at every posterior draw"),
         (lambda: of_draws("Fy", -np.ones(100), np.zeros(100)), "finite and above zero"),
-        (lambda: Rounded(1.0, 2.0, 2.0), "lower < upper"),
-        (lambda: Rounded(5.0, 1.0, 2.0), "lies outside"),
-        (lambda: Rounded.to_step(2.0, 5.0).of("Fy"), "finite and above zero"),
+        (lambda: to_step(1.0, 0.0), "must be above zero"),
+        (lambda: rounded("Fy", to_step(2.0, 5.0)), "finite and above zero"),
         (lambda: QuantityLikelihood(True, np.array([0.0, 2.0]), np.array([1.0, 3.0]), np.ones(2)), "adjoin"),
         (lambda: DeviceEstimate("a", "s", {}), "gives none of"),
-        (lambda: DeviceEstimate(" ", "s", {"Fy": Rounded(80, 75, 85).of("Fy")}), "needs a name"),
-        (lambda: DeviceEstimate("a", "s", {"dep": Rounded(30, 15, 45).of("dep")}), "dep is never pooled"),
-        (lambda: DeviceEstimate.from_posterior("a", "s", {"Fy": np.ones(99)}, {}), "prior density of Fy is missing"),
+        (lambda: DeviceEstimate(" ", "s", {"Fy": rounded("Fy", (80, 75, 85))}), "needs a name"),
+        (lambda: DeviceEstimate("a", "s", {"dep": rounded("dep", (30, 15, 45))}), "dep is never pooled"),
         (lambda: sets_of([]), "no device given"),
     ],
 )
@@ -98,17 +106,19 @@ def test_what_is_wrong_is_said(make, words):
 
 
 def test_sets_refuse_double_names_and_mixed_tags():
-    one = DeviceEstimate("a", "s", {"Fy": Rounded(80, 75, 85).of("Fy")})
+    one = DeviceEstimate("a", "s", {"Fy": rounded("Fy", (80, 75, 85))})
     with pytest.raises(PopulationError, match="two devices of set 's' are called 'a'"):
         sets_of([one, one])
-    other = DeviceEstimate("b", "s", {"Fy": Rounded(80, 75, 85).of("Fy")}, Tags(corroded=True))
+    other = DeviceEstimate("b", "s", {"Fy": rounded("Fy", (80, 75, 85))}, Tags(corroded=True))
     with pytest.raises(PopulationError, match="not its tags"):
         sets_of([one, other])
 
 
-def test_a_posterior_that_is_refused_names_its_device() -> None:
+def test_a_posterior_that_is_refused_names_its_device(monkeypatch, tmp_path) -> None:
+    found = SimpleNamespace(draws={"Fy": np.ones(100)}, laws={"Fy": read_priors().of("Fy")})
+    monkeypatch.setattr(DeviceResult, "read", lambda _: found)
     with pytest.raises(PopulationError, match=r"device 'a': all posterior draws of Fy are equal"):
-        DeviceEstimate.from_posterior("a", "s", {"Fy": np.ones(100)}, {"Fy": np.zeros(100)})
+        device_from_fit(tmp_path, "a", "s")
 
 
 @pytest.mark.parametrize("n", [1, 9, 64, 4001])

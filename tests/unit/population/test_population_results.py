@@ -10,7 +10,7 @@ from shj_bayes.population.compare import compare
 from shj_bayes.population.device import DeviceEstimate
 from shj_bayes.population.hierarchy import ANY_SET, N_DRAWS, fit_population
 from shj_bayes.population.predict import NewDevice, dep_words, how_wide, loop_band, new_device, new_device_table
-from shj_bayes.population.quantities import Rounded
+from shj_bayes.population.quantities import rounded, to_step
 from shj_bayes.population.results import load_population, record_of, write_population
 from shj_bayes.report.sets import contrast_words
 from shj_bayes.results.codec import to_json
@@ -123,7 +123,7 @@ def test_names_cannot_become_spreadsheet_formulas(result, tmp_path):
 
 
 def test_a_folder_without_a_population_is_refused(tmp_path):
-    with pytest.raises(PopulationError, match="holds no readable population"):
+    with pytest.raises(PopulationError, match=r"holds no population\.json"):
         load_population(tmp_path)
     (tmp_path / "population.json").write_text('{"schema": "other"}')
     np.savez(tmp_path / "population.npz", x=np.zeros(1))
@@ -169,9 +169,9 @@ def test_loops_refuse_what_cannot_be(result):
 
 def test_a_quantity_that_some_sets_lack_rests_on_the_others(devices):
     devices = [
-        DeviceEstimate("a", "one run", {"Fy": Rounded.to_step(80, 5).of("Fy")}),
+        DeviceEstimate("a", "one run", {"Fy": rounded("Fy", to_step(80, 5))}),
         *(d for d in devices if d.set_name == "Zinc 70"),
-        DeviceEstimate("a", "stiffness alone", {"K": Rounded.to_step(20, 1).of("K")}),
+        DeviceEstimate("a", "stiffness alone", {"K": rounded("K", to_step(20, 1))}),
     ]
     result = fit_population(devices, seed=1)
     table = pd.DataFrame(new_device_table(result)).set_index(["set", "quantity"])

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from nptdms import ChannelObject, TdmsWriter
 from one_device import N_ROWS, RATE_HZ, plain
 
-from shj_bayes.app.device import _usable
+from shj_bayes.app.device import read_device
 from shj_bayes.app.manifest import read_manifest
 from shj_bayes.cli import main
 from shj_bayes.errors import RecordingError
@@ -502,7 +502,7 @@ def test_the_option_reaches_every_command(tmp_path):
     assert result.exit_code == 0
     assert "1000 at 20 Hz" in result.output
     assert "--sheet" in CliRunner().invoke(main, ["check", str(path)]).output
-    (recording,) = _usable([path], FitOptions(sheet="Raw"), lambda _: None)
+    (recording,) = read_device([path], FitOptions(sheet="Raw"))
     same(recording, slice(1000))
     manifest = tmp_path / "campaign.toml"
     text = 'schema = "shj-bayes/campaign/1"\nname = "A"\n[[set]]\nname = "S"\noptions = {sheet = "Raw"}\n'

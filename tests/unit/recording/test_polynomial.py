@@ -9,7 +9,6 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from shj_bayes.recording import smoothing as polynomial
-from shj_bayes.recording import units
 
 
 @pytest.mark.parametrize(("window", "degree"), [(5, 3), (9, 5), (41, 5), (201, 5)])
@@ -34,33 +33,18 @@ def test_hermite():
     assert slope == pytest.approx(wanted(at, 1), rel=1e-6, abs=1e-6)
 
 
-def test_units_are_those_of_pint():
-    """All that both know; a pound is a mass there."""
-    pint = pytest.importorskip("pint")
-    registry, compared = pint.UnitRegistry(), 0
-    for name, (role, factor) in units._SIZES.items():
-        try:
-            unit = registry.Unit(name)
-        except Exception:  # many kinds, for spellings that pint does not know
-            continue
-        if unit.is_compatible_with(units.TARGET[role]):
-            assert registry.Quantity(1.0, unit).to(units.TARGET[role]).magnitude == pytest.approx(factor, rel=1e-12)
-            compared += 1
-    assert compared > 60
-
-
-HEAVY = "scipy pandas xarray pint numba matplotlib arviz emcee h5py"
+HEAVY = "scipy pandas xarray numba matplotlib arviz emcee h5py"
 DRAWN = "pandas xarray matplotlib arviz"  # a page is drawn, and a fit is stored, without them
 CASES = {
     "check": ("shj_bayes.recording.runs", HEAVY),
     "finished": ("shj_bayes.app.resume", HEAVY),
-    "compare": ("shj_bayes.app.design", "scipy.stats scipy.signal matplotlib arviz emcee pint"),
+    "compare": ("shj_bayes.app.design", "scipy.stats scipy.signal matplotlib arviz emcee"),
     "unchanged campaign": (
         "shj_bayes.app.campaign",
-        "scipy.stats scipy.signal pandas xarray matplotlib arviz emcee pint",
+        "scipy.stats scipy.signal pandas xarray matplotlib arviz emcee",
     ),
-    "fit": ("shj_bayes.app.device, shj_bayes.report.figures.device", f"{DRAWN} scipy.stats scipy.signal pint"),
-    "diagnose": ("shj_bayes.mismatch.diagnosis, shj_bayes.report.diagnosis_page", f"{DRAWN} scipy.stats pint"),
+    "fit": ("shj_bayes.app.device, shj_bayes.report.figures.device", f"{DRAWN} scipy.stats scipy.signal"),
+    "diagnose": ("shj_bayes.mismatch.diagnosis, shj_bayes.report.diagnosis_page", f"{DRAWN} scipy.stats"),
 }
 
 

@@ -63,7 +63,7 @@ FEWEST = {CHARACTERISTIC: 3, DESIGN: 4}
 
 def factor_known(n: float, fractile: float = CHARACTERISTIC) -> float:
     """k_n, k_d,n with the coefficient of variation known beforehand: z sqrt(1 + 1/n)."""
-    _check_tests(n, math.inf)
+    _check(n, math.inf, "an EN 1990 value")
     return float(-special.ndtri(fractile) * math.sqrt(1.0 + 1.0 / n))
 
 
@@ -74,7 +74,7 @@ def factor_unknown(n: float, fractile: float = CHARACTERISTIC, degrees: float | 
     several sets.
     """
     nu = n - 1 if degrees is None else degrees
-    _check_tests(n, nu)
+    _check(n, nu, "an EN 1990 value")
     return float(-special.stdtrit(nu, fractile) * math.sqrt(1.0 + 1.0 / n))
 
 
@@ -112,11 +112,11 @@ def _en1990(given: Given) -> Iterator[Margin]:
                     yield given.limit(quantity, TESTING, kind, way, factor, law, side, **words)
 
 
-def _check_tests(n: float, degrees: float) -> None:
+def _check(n: float, degrees: float, what: str) -> None:
     if n < 1 or degrees < 1:
         raise PopulationError(
-            f"EN 1990 Annex D needs a device for the mean and two for the spread; got {n:g} with {degrees:g} degrees "
-            "of freedom. Test more, or take the spread of several sets together"
+            f"{what} from {n:g} devices with {degrees:g} degrees of freedom cannot be given: the spread needs two "
+            "devices of one set at least; test more, or use the spread of several sets together"
         )
 
 
@@ -127,18 +127,6 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(101)
 _WEIGHTS = _WEIGHTS / _WEIGHTS.sum()
 
 
-def _check(n: float, degrees: float, coverage: float, confidence: float) -> None:
-    if n < 1 or degrees < 1:
-        raise PopulationError(
-            f"a tolerance limit from {n:g} devices with {degrees:g} degrees of freedom cannot be given: the spread "
-            "needs two devices of one set at least; test more, or use the spread of several sets together"
-        )
-    if not (0 < coverage < 1 and 0 < confidence < 1):
-        raise PopulationError(
-            f"coverage {coverage:g} and confidence {confidence:g} are shares: both must lie between 0 and 1"
-        )
-
-
 @cache
 def one_sided(n: float, coverage: float, confidence: float, degrees: float | None = None) -> float:
     """Factor of a one-sided limit from n devices, spread unknown: exact, from the noncentral t distribution.
@@ -147,7 +135,7 @@ def one_sided(n: float, coverage: float, confidence: float, degrees: float | Non
     of the spread are n - 1 when it comes from the same devices, more when it is pooled over several sets.
     """
     nu = n - 1 if degrees is None else degrees
-    _check(n, nu, coverage, confidence)
+    _check(n, nu, "a tolerance limit")
     if math.isinf(nu):  # spread known
         return float(special.ndtri(coverage) + special.ndtri(confidence) / math.sqrt(n))
     return float(special.nctdtrit(nu, special.ndtri(coverage) * math.sqrt(n), confidence) / math.sqrt(n))
@@ -161,7 +149,7 @@ def two_sided(n: float, coverage: float, confidence: float, degrees: float | Non
     r(Z) the half-width that covers the share from there (ISO 16269-6, exact form). Arguments as for `one_sided`.
     """
     nu = n - 1 if degrees is None else degrees
-    _check(n, nu, coverage, confidence)
+    _check(n, nu, "a tolerance limit")
     if math.isinf(nu):  # spread known: the mean alone is in error, and its share covered falls with the error
         return float(_half_widths(np.array([special.ndtri(0.5 * (1.0 + confidence)) / math.sqrt(n)]), coverage)[0])
     z = np.abs(_NODES) / math.sqrt(n)

@@ -244,6 +244,13 @@ def svg(figure: Figure) -> Markup:
     return Markup(f"data:image/svg+xml,{text}")  # it holds nothing that a page would escape
 
 
+def drawn(figure: Figure, x: str, y: str, columns: int = 1, unit: ForceUnit = KN) -> Markup:
+    """Picture of a sheet with one diagram, which gets its titles, and its key in so many columns."""
+    label(figure.axes[0], x, y, unit)
+    legend(figure.axes[0], columns)
+    return svg(figure)
+
+
 def numbers(low: float, high: float, most: int, whole: bool = False) -> list[tuple[float, str]]:
     """As many round numbers of a range as there may be, each with how it is written."""
     if most < 1 or not high > low:

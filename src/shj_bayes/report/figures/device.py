@@ -3,14 +3,15 @@
 `draw` puts all of them together; the page says what they show.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from shj_bayes._util.arrays import FloatArray, IntArray
+from shj_bayes._util.arrays import FloatArray
 from shj_bayes.model.noise import noise_parameters
+from shj_bayes.model.parameters import base_of
 from shj_bayes.model.priors import Prior
 from shj_bayes.recording.columns import TENSION
 from shj_bayes.report.figures.canvas import (
@@ -22,93 +23,106 @@ from shj_bayes.report.figures.canvas import (
     RED,
     SERIES,
     WIDE,
-    Axes,
     Figure,
     alike,
+    drawn,
     label,
     legend,
     sheet,
     svg,
 )
-from shj_bayes.report.numbers import Band, Cycles, DeviceFigures, StrokeProfile, pick_cycle
+from shj_bayes.report.numbers import Band, Beforehand, Cycles, DeviceFigures, StrokeProfile, pick_cycle
 from shj_bayes.report.words import KN, ForceUnit, force_unit
 from shj_bayes.results.device import DeviceData, RunData
 
 STROKE, FORCE = "displacement (mm)", "force (kN)"
 MAX_POINTS, MAX_OVER_SPEED = 6000, 2500
 COLUMNS = 1200  # of a diagram over time: more than a screen has pixels for it
-BINS, REACH, SHARES = (
-    24,
-    3,
-    (0.5, 0.9),
-)  # of a corner plot; bins that its smoothing goes to each side; held by the lines
+# of a corner plot; bins that its smoothing goes to each side; shares of the draws that are held by its lines
+BINS, REACH, SHARES = 24, 3, (0.5, 0.9)
 MAX_DOTS, MAX_STEPS = 300, 250  # of each panel of a corner plot; of the trace of an ensemble
+Runs = Sequence[tuple[RunData, Band]]
 
 
-def cycle(parts: Sequence[tuple[str, FloatArray, FloatArray, Band]], unit: ForceUnit) -> str:
-    """One cycle of each run: measured points, median of the law and the band of what would be measured.
+def draw(device: DeviceData, numbers: DeviceFigures) -> dict[str, Any]:
+    """All pictures of a device page by place."""
+    unit = force_unit(device.record)
+    runs = list(zip(device.runs, numbers.bands, strict=True))
+    cycles = [one for one in numbers.cycles if one.measured_J.size]
+    shown = {row.name: unit.of(row.unit) for row in device.record.parameters}
+    units = {name: own for name, (own, _) in shown.items()}
+    draws = {name: values * shown[name][1] for name, values in device.draws.items()}
+    noise = set(noise_parameters())
+    return {
+        "hero": cycle(runs, unit),
+        "time": [over_time(run, band, unit) for run, band in runs],
+        "loops": [
+            (
+                all_cycles(run, band, unit),
+                100 * float(np.mean((run.force_kN >= band.force_low) & (run.force_kN <= band.force_high))),
+            )
+            for run, band in runs
+        ],
+        "speed": over_speed(runs, unit),
+        "residuals": [over_stroke(profiles, unit) for profiles in numbers.profiles],
+        "cycles": cycles
+        and {
+            "envelope": envelope(cycles, unit),
+            "backbone": backbone(cycles, unit),
+            "energy": energy(cycles),
+            "damping": damping(cycles),
+        },
+        "channels": [
+            one
+            for run, entry in zip(device.runs, device.record.inputs, strict=True)
+            if (one := channels(run, entry.extras))
+        ],
+        "densities": densities(device, unit, draws, units),
+        "corner": corner({name: v.ravel() for name, v in draws.items() if name not in noise}, units),
+        "prior": prior(numbers.before, unit),
+        "traces": traces(draws, units),
+    }
 
-    `parts` holds name, displacement, force and band of each run, arrays of shape (n,).
-    """
+
+def cycle(runs: Runs, unit: ForceUnit) -> str:
+    """One cycle of each run: measured points, median of the law and the band of what would be measured."""
     figure, axes = sheet(NARROW, 295)
-    for (name, x, force, band), colour in zip(parts, SERIES, strict=False):
+    for (run, band), colour in zip(runs, SERIES, strict=False):
+        at = pick_cycle(run)
+        x = run.displacement_mm[at]
         # A loop is two curves over the same stroke; one ribbon along the path covers both.
-        axes.fill(x, band.force_low, band.force_high, color=colour, alpha=0.22)
-        axes.plot(x, force, ".", size=2.4, alpha=0.8)
-        axes.plot(x, band.median, color=colour, linewidth=1.3, label=f"{name}: model")
+        axes.fill(x, band.force_low[at], band.force_high[at], color=colour, alpha=0.22)
+        axes.plot(x, run.force_kN[at], ".", size=2.4, alpha=0.8)
+        axes.plot(x, band.median[at], color=colour, linewidth=1.3, label=f"run {run.number}: model")
     axes.plot([], [], ".", label="measured")
     axes.fill([], [], [], color=GREY, alpha=0.3, label="90 % of points expected")
-    label(axes, STROKE, FORCE, unit)
-    legend(axes, 2)
-    return svg(figure)
+    return drawn(figure, STROKE, FORCE, 2, unit)
 
 
-def all_cycles(x: FloatArray, force: FloatArray, band: Band, starts: IntArray, unit: ForceUnit) -> str:
-    """All cycles of one run, measured over predicted; `starts` are the first samples of the half-cycles."""
+def all_cycles(run: RunData, band: Band, unit: ForceUnit) -> str:
+    """All cycles of one run, measured over predicted."""
     figure, axes = sheet()
+    x = run.displacement_mm
     step = max(1, x.size // MAX_POINTS)
     # Half-cycle by half-cycle: as one shape, ribbons that lie over one another would cancel.
-    for a, b in pairwise([*starts.tolist(), x.size]):
+    for a, b in pairwise([*run.starts.tolist(), x.size]):
         part = slice(a, b, step)
         axes.fill(x[part], band.force_low[part], band.force_high[part], color=BLUE, alpha=0.12)
-    axes.plot(x[::step], force[::step], linewidth=0.6, alpha=0.8, label="measured")
+    axes.plot(x[::step], run.force_kN[::step], linewidth=0.6, alpha=0.8, label="measured")
     axes.plot(x[::step], band.median[::step], color=RED, linewidth=0.8, label="model (median)")
     axes.fill([], [], [], color=BLUE, alpha=0.3, label="90 % band")
-    label(axes, STROKE, FORCE, unit)
-    legend(axes, 3)
-    return svg(figure)
+    return drawn(figure, STROKE, FORCE, 3, unit)
 
 
-def energy(energies: Sequence[Cycles]) -> str:
-    """Energy of every cycle, measured and predicted."""
-    figure, axes = sheet()
-    largest = max(float(e.measured_J.max()) for e in energies)
-    unit, factor = ("kJ", 1e-3) if largest >= 1000 else ("J", 1.0)
-    at = 0
-    for e, colour in zip(energies, SERIES, strict=False):
-        number, gap = at + np.arange(1.0, e.measured_J.size + 1), np.full(e.measured_J.size, np.nan)
-        bars = np.stack([e.low_J, e.high_J, gap], axis=1).ravel() * factor
-        axes.plot(np.repeat(number, 3), bars, color=colour, linewidth=2)
-        axes.plot(number, e.median_J * factor, "_", color=colour, size=13, label=f"run {e.run}: model, 90 %")
-        axes.plot(number, e.measured_J * factor, "o", hollow=True)
-        at += e.measured_J.size
-    axes.plot([], [], "o", hollow=True, label="measured")
-    axes.from_zero()
-    _cycles(axes, f"energy of the cycle ({unit})")
-    legend(axes, 2)
-    return svg(figure)
-
-
-def over_time(
-    time_s: FloatArray, force: FloatArray, median: FloatArray, noise: tuple[float, float], unit: ForceUnit
-) -> str:
+def over_time(run: RunData, band: Band, unit: ForceUnit) -> str:
     """Force over time of one run, measured and modelled, and the residual below it with the band of the noise."""
     figure = Figure(WIDE, 330, (3, 2))
-    above, below = figure.axes
-    left = force - median
-    above.plot(*extremes(time_s, force), linewidth=0.8, label="measured")
-    above.plot(*extremes(time_s, median), color=RED, linewidth=0.7, label="model (median)")
-    below.fill([-np.inf, np.inf], noise[0], noise[1], color=BLUE, alpha=0.15, label="noise of the fit (90 %)")
+    (above, below), time_s = figure.axes, run.time_s
+    left, noise = run.force_kN - band.median, run.predicted_kN - run.law_kN
+    low, high = np.quantile(noise[:: max(1, noise.shape[0] // 20)], (0.05, 0.95))
+    above.plot(*extremes(time_s, run.force_kN), linewidth=0.8, label="measured")
+    above.plot(*extremes(time_s, band.median), color=RED, linewidth=0.7, label="model (median)")
+    below.fill([-np.inf, np.inf], low, high, color=BLUE, alpha=0.15, label="noise of the fit (90 %)")
     below.plot(*extremes(time_s, left), linewidth=0.5, label="residual")
     below.across(0)
     reach = 1.25 * float(np.quantile(np.abs(left), 0.999)) or 1.0
@@ -131,91 +145,117 @@ def extremes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     return x[at], y[at]
 
 
-def channels(time_s: FloatArray, extras: Sequence[tuple[str, FloatArray]]) -> str:
-    """Further channels over time, one below the other; title with unit, and values, of each."""
+def channels(run: RunData, units: Mapping[str, str]) -> tuple[str, int, str, bool] | None:
+    """Further channels of a run over time, and their names; whether the force over the bolt tension is among them."""
+    extras = [
+        (f"{name} ({units[name]})" if units.get(name) else name, values)
+        for name, values in run.extras.items()
+        if np.isfinite(values).any()
+    ]
+    tension = run.extras.get(TENSION)
+    if tension is not None and units.get(TENSION) == "kN":
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.abs(run.force_kN) / tension
+        extras.append(("mu = F/N", np.where(tension > 0, ratio, np.nan)))
+    if not extras:
+        return None
     figure = Figure(WIDE, 108 * len(extras) + 43, [1] * len(extras))
     for axes, (title, values) in zip(figure.axes, extras, strict=True):
-        axes.plot(*extremes(time_s, values), color=BLUE, linewidth=0.9)
+        axes.plot(*extremes(run.time_s, values), color=BLUE, linewidth=0.9)
         label(axes, "", title)
         axes.x_numbers = 0
     alike(figure.axes, x=True)
     figure.axes[-1].x_title, figure.axes[-1].x_numbers = "time (s)", None
-    return svg(figure)
+    return svg(figure), run.number, ", ".join(title for title, _ in extras), len(extras) > len(run.extras)
 
 
-def over_speed(runs: Sequence[tuple[str, FloatArray, FloatArray, FloatArray]], unit: ForceUnit) -> str:
-    """Force over velocity: measured points and the model's; name, velocity, measured and modelled of each run."""
+def over_speed(runs: Runs, unit: ForceUnit) -> str:
+    """Force over velocity: measured points and the model's."""
     figure, axes = sheet()
-    for (name, speed, force, median), colour in zip(runs, SERIES, strict=False):
+    for (run, band), colour in zip(runs, SERIES, strict=False):
+        speed = run.direction * run.speed_mm_s
         keep = slice(None, None, max(1, speed.size // MAX_OVER_SPEED))
-        axes.plot(speed[keep], force[keep], ".", size=2.2, alpha=0.5)
-        axes.plot(speed[keep], median[keep], ".", color=colour, size=2.2, alpha=0.6)
-        axes.plot([], [], ".", color=colour, size=7, label=f"{name}: model")
+        axes.plot(speed[keep], run.force_kN[keep], ".", size=2.2, alpha=0.5)
+        axes.plot(speed[keep], band.median[keep], ".", color=colour, size=2.2, alpha=0.6)
+        axes.plot([], [], ".", color=colour, size=7, label=f"run {run.number}: model")
     axes.plot([], [], ".", size=7, label="measured")
-    label(axes, "velocity (mm/s)", FORCE, unit)
-    legend(axes, 3)
-    return svg(figure)
+    return drawn(figure, "velocity (mm/s)", FORCE, 3, unit)
 
 
-def envelope(shapes: Sequence[Cycles], unit: ForceUnit) -> str:
+def _numbered(cycles: Sequence[Cycles]) -> Iterator[tuple[Cycles, str, FloatArray]]:
+    """Cycles of each run with a colour and the numbers that they have among those of all runs."""
+    at = 0
+    for one, colour in zip(cycles, SERIES, strict=False):
+        yield one, colour, at + np.arange(1.0, one.measured_J.size + 1)
+        at += one.measured_J.size
+
+
+def _over_cycles(figure: Figure, y: str, columns: int, unit: ForceUnit = KN) -> str:
+    """Titles and key of a diagram over the cycles."""
+    figure.axes[0].whole = True
+    return drawn(figure, "cycle, in the order they were made", y, columns, unit)
+
+
+def energy(cycles: Sequence[Cycles]) -> str:
+    """Energy of every cycle, measured and predicted."""
+    figure, axes = sheet()
+    largest = max(float(e.measured_J.max()) for e in cycles)
+    unit, factor = ("kJ", 1e-3) if largest >= 1000 else ("J", 1.0)
+    for e, colour, number in _numbered(cycles):
+        bars = np.stack([e.low_J, e.high_J, np.full(number.size, np.nan)], axis=1).ravel() * factor
+        axes.plot(np.repeat(number, 3), bars, color=colour, linewidth=2)
+        axes.plot(number, e.median_J * factor, "_", color=colour, size=13, label=f"run {e.run}: model, 90 %")
+        axes.plot(number, e.measured_J * factor, "o", hollow=True)
+    axes.plot([], [], "o", hollow=True, label="measured")
+    axes.from_zero()
+    return _over_cycles(figure, f"energy of the cycle ({unit})", 2)
+
+
+def envelope(cycles: Sequence[Cycles], unit: ForceUnit) -> str:
     """Largest and sliding force of every cycle, push and pull."""
     figure, axes = sheet()
-    at = 0
-    for shape, colour in zip(shapes, SERIES, strict=False):
-        number = at + np.arange(1, shape.push_kN.size + 1)
-        for sign, peak, flat in ((1, shape.push_kN, shape.push_sliding_kN), (-1, shape.pull_kN, shape.pull_sliding_kN)):
+    for c, colour, number in _numbered(cycles):
+        for sign, peak, flat in ((1, c.push_kN, c.push_sliding_kN), (-1, c.pull_kN, c.pull_sliding_kN)):
             marker = "^" if sign > 0 else "v"
             axes.plot(number, sign * peak, marker, color=colour, hollow=True)
             axes.plot(number, sign * flat, f"{marker}-", color=colour, linewidth=1)
-        axes.plot([], [], "-", color=colour, label=f"run {shape.run}")
-        at += shape.push_kN.size
+        axes.plot([], [], "-", color=colour, label=f"run {c.run}")
     axes.plot([], [], "^", label="push")
     axes.plot([], [], "v", label="pull")
     axes.from_zero()
-    _cycles(axes, FORCE, unit)
-    legend(axes, 4)
-    return svg(figure)
+    return _over_cycles(figure, FORCE, 4, unit)
 
 
-def backbone(shapes: Sequence[Cycles], unit: ForceUnit) -> str:
-    """Force where the cycles turn, measured and modelled, in the order of the displacement there."""
-    figure, axes = sheet()
-    for shape, colour in zip(shapes, SERIES, strict=False):
-        order = np.argsort(shape.turn_mm)
-        axes.plot(shape.turn_mm[order], shape.model_turn_kN[order], color=colour, linewidth=1.3)
-        axes.plot(shape.turn_mm, shape.turn_kN, "o", color=colour, hollow=True)
-        axes.plot([], [], "o-", color=colour, label=f"run {shape.run}")
-    label(axes, STROKE, FORCE, unit)
-    legend(axes, 3)
-    return svg(figure)
-
-
-def damping(shapes: Sequence[Cycles]) -> str:
+def damping(cycles: Sequence[Cycles]) -> str:
     """Equivalent viscous damping of every cycle, measured and modelled."""
     figure, axes = sheet()
-    at = 0
-    for shape, colour in zip(shapes, SERIES, strict=False):
-        number = at + np.arange(1, shape.damping_percent.size + 1)
-        axes.plot(number, shape.model_damping_percent, "_", color=colour, size=13, label=f"run {shape.run}: model")
-        axes.plot(number, shape.damping_percent, "o", hollow=True)
-        at += shape.damping_percent.size
+    for c, colour, number in _numbered(cycles):
+        axes.plot(number, c.model_damping_percent, "_", color=colour, size=13, label=f"run {c.run}: model")
+        axes.plot(number, c.damping_percent, "o", hollow=True)
     axes.plot([], [], "o", hollow=True, label="measured")
     axes.from_zero(70)
-    _cycles(axes, "equivalent damping (%)")
-    legend(axes, 3)
-    return svg(figure)
+    return _over_cycles(figure, "equivalent damping (%)", 3)
 
 
-def prior(x: FloatArray, prior_kN: FloatArray, paper_kN: FloatArray, posterior_kN: FloatArray, unit: ForceUnit) -> str:
-    """Loops that the priors allow, those of the published devices (of which there may be none), and what is left.
+def backbone(cycles: Sequence[Cycles], unit: ForceUnit) -> str:
+    """Force where the cycles turn, measured and modelled, in the order of the displacement there."""
+    figure, axes = sheet()
+    for c, colour in zip(cycles, SERIES, strict=False):
+        order = np.argsort(c.turn_mm)
+        axes.plot(c.turn_mm[order], c.model_turn_kN[order], color=colour, linewidth=1.3)
+        axes.plot(c.turn_mm, c.turn_kN, "o", color=colour, hollow=True)
+        axes.plot([], [], "o-", color=colour, label=f"run {c.run}")
+    return drawn(figure, STROKE, FORCE, 3, unit)
 
-    Displacement of one closed cycle has shape (n,), forces (m, n).
-    """
+
+def prior(b: Beforehand, unit: ForceUnit) -> str:
+    """Loops that the priors allow, those of the published devices (of which there may be none), and what is left."""
     figure, axes = sheet(WIDE, 281)
+    x = b.displacement_mm
     groups = (
-        (prior_kN, PALE, 0.6, "allowed before the test"),
-        (paper_kN, GREEN, 0.9, "devices of the published tables"),
-        (posterior_kN, BLUE, 1.6, "this device, after the test"),
+        (b.prior_kN, PALE, 0.6, "allowed before the test"),
+        (b.paper_kN, GREEN, 0.9, "devices of the published tables"),
+        (b.posterior_kN, BLUE, 1.6, "this device, after the test"),
     )
     for forces, colour, width, words in groups:
         if forces.size:
@@ -223,33 +263,22 @@ def prior(x: FloatArray, prior_kN: FloatArray, paper_kN: FloatArray, posterior_k
             along = np.tile(np.append(x, np.nan), len(forces))
             axes.plot(along, lines.ravel(), color=colour, linewidth=width, alpha=0.8, label=words)
     axes.x_range = (1.05 * x.min(), 1.05 * x.max())
-    reach = 1.15 * float(np.quantile(np.abs(prior_kN).max(axis=1), 0.97))
-    reach = max(reach, 1.1 * float(np.abs(posterior_kN).max()))
+    reach = 1.15 * float(np.quantile(np.abs(b.prior_kN).max(axis=1), 0.97))
+    reach = max(reach, 1.1 * float(np.abs(b.posterior_kN).max()))
     axes.y_range = (-reach, reach)
-    label(axes, STROKE, FORCE, unit)
-    legend(axes, 3)
-    return svg(figure)
+    return drawn(figure, STROKE, FORCE, 3, unit)
 
 
 def over_stroke(profiles: Sequence[StrokeProfile], unit: ForceUnit) -> str:
     """Mean residual over stroke, push and pull of one run, with what noise alone would give."""
     figure, axes = sheet(NARROW, 230)
-    for profile, colour, style, name in zip(
-        profiles, (BLUE, RED), ("o-", "s-"), ("displacement growing", "displacement falling"), strict=False
-    ):
+    kinds = ((BLUE, "o-", "displacement growing"), (RED, "s-", "displacement falling"))
+    for profile, (colour, style, name) in zip(profiles, kinds, strict=True):
         axes.fill(profile.centre_mm, profile.low_kN, profile.high_kN, color=colour, alpha=0.16)
         axes.plot(profile.centre_mm, profile.mean_kN, style, color=colour, size=4, linewidth=1.2, label=name)
     axes.fill([], [], [], color=GREY, alpha=0.3, label="noise alone (90 %)")
     axes.across(0)
-    label(axes, STROKE, "mean residual (kN)", unit)
-    legend(axes, 2)
-    return svg(figure)
-
-
-def _cycles(axes: Axes, y: str, unit: ForceUnit = KN) -> None:
-    """Titles of a diagram over the cycles."""
-    axes.whole = True
-    label(axes, "cycle, in the order they were made", y, unit)
+    return drawn(figure, STROKE, "mean residual (kN)", 2, unit)
 
 
 def corner(draws: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
@@ -277,18 +306,13 @@ def corner(draws: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
             for lines in _contours(x, y, spans[names[j]], spans[names[i]]):
                 axes.plot(*lines, color=BLUE, linewidth=0.9)
         if i == len(names) - 1:
-            _along(axes, names[j], units[names[j]])
+            axes.x_numbers, axes.x_title = 2, names[j] + ("" if units[names[j]] == "1" else f"\n{units[names[j]]}")
+            if base_of(names[j]) == "gamma":
+                axes.x_words, axes.x_title = _gamma_and_dep, f"\n{names[j]} s/mm\n(dep mm/s)"
         if j == 0 and i:
             axes.y_title, axes.y_numbers = _named(names[i], units), 3
     figure.axes = shown
     return svg(figure)
-
-
-def _along(axes: Axes, name: str, unit: str) -> None:
-    """Numbers and title below a column."""
-    axes.x_numbers, axes.x_title = 2, name + ("" if unit == "1" else f"\n{unit}")
-    if name.partition("_")[0] == "gamma":
-        axes.x_numbers, axes.x_words, axes.x_title = 2, _gamma_and_dep, f"\n{name} s/mm\n(dep mm/s)"
 
 
 def _contours(
@@ -333,20 +357,25 @@ def _gamma_and_dep(value: float) -> str:
     return f"{value:.4g}\n({1 / value:+.4g})" if abs(value) > 1e-9 else "0\n(none)"
 
 
-def densities(parts: Mapping[str, tuple[FloatArray, FloatArray, FloatArray]], units: Mapping[str, str]) -> str:
-    """Posterior of every parameter beside its prior: draws, places and prior density there, in the unit shown."""
-    rows = -(-len(parts) // 4)
+def densities(device: DeviceData, unit: ForceUnit, draws: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
+    """Posterior of every parameter beside its prior, in the unit shown."""
+    laws = [Prior(**vars(row)) for row in device.record.prior_laws]
+    rows = -(-len(laws) // 4)
     figure = Figure(WIDE, 126 * rows + 22, [1] * rows, 4, gap=(12, 40), left=14, top=25)
-    for axes, (name, (draws, places, density)) in zip(figure.axes, parts.items(), strict=False):
-        heights, edges = np.histogram(draws, 40, (places[0], places[-1]), density=True)
-        steps = np.pad(np.repeat(heights, 2), 1)
-        axes.fill(np.repeat(edges, 2), 0.0, steps, color=BLUE, alpha=0.55, label="posterior")
-        axes.plot(places, density, "--", linewidth=1.2, label="prior")
+    figure.axes = figure.axes[: len(laws)]
+    for axes, law in zip(figure.axes, laws, strict=True):
+        factor, values = unit.of(law.unit)[1], draws[law.name].ravel()
+        low, high = np.quantile(values, (0.001, 0.999))
+        room = 0.5 * (high - low) or 1e-6 * abs(high) or 1e-6
+        least, most = (factor * edge for edge in law.support)
+        places = np.linspace(max(low - room, least + 1e-6 * room), min(high + room, most - 1e-6 * room), 160)
+        heights, edges = np.histogram(values, 40, (places[0], places[-1]), density=True)
+        axes.fill(np.repeat(edges, 2), 0.0, np.pad(np.repeat(heights, 2), 1), color=BLUE, alpha=0.55, label="posterior")
+        axes.plot(places, np.exp(law.log_density(places / factor)) / factor, "--", linewidth=1.2, label="prior")
         axes.from_zero()
         axes.x_range = (places[0], places[-1])
         axes.size, axes.x_numbers, axes.y_numbers, axes.grid = 8, 3, 0, False
-        axes.x_title = _named(name, units).replace("\n", " ")
-    figure.axes = figure.axes[: len(parts)]
+        axes.x_title = _named(law.name, units).replace("\n", " ")
     for axes in figure.axes[1:]:
         axes.key = []
     figure.axes[0].columns = 2
@@ -371,95 +400,3 @@ def traces(chains: Mapping[str, FloatArray], units: Mapping[str, str]) -> str:
 
 def _named(name: str, units: Mapping[str, str]) -> str:
     return name if units[name] == "1" else f"{name}\n({units[name]})"
-
-
-def draw(device: DeviceData, numbers: DeviceFigures) -> dict[str, Any]:
-    """All pictures of a device page by place."""
-    unit, b = force_unit(device.record), numbers.before
-    runs = list(zip(device.runs, numbers.bands, strict=True))
-    cycles = [one for one in numbers.cycles if one.measured_J.size]
-    draws, units = _shown(device, unit)
-    noise = {name for name in draws if name in noise_parameters()}
-    return {
-        "hero": cycle([_one_cycle(run, band) for run, band in runs], unit),
-        "time": [over_time(run.time_s, run.force_kN, band.median, _noise(run), unit) for run, band in runs],
-        "loops": [
-            (all_cycles(run.displacement_mm, run.force_kN, band, run.starts, unit), 100 * _inside(run, band))
-            for run, band in runs
-        ],
-        "speed": over_speed(
-            [(f"run {r.number}", r.direction * r.speed_mm_s, r.force_kN, band.median) for r, band in runs], unit
-        ),
-        "residuals": [over_stroke(profiles, unit) for profiles in numbers.profiles],
-        "cycles": cycles
-        and {
-            "envelope": envelope(cycles, unit),
-            "backbone": backbone(cycles, unit),
-            "energy": energy(cycles),
-            "damping": damping(cycles),
-        },
-        "channels": _channels(device),
-        "densities": _densities(device, unit, draws, units),
-        "corner": corner({name: v.ravel() for name, v in draws.items() if name not in noise}, units),
-        "prior": prior(b.displacement_mm, b.prior_kN, b.paper_kN, b.posterior_kN, unit),
-        "traces": traces(draws, units),
-    }
-
-
-def _one_cycle(run: RunData, band: Band) -> tuple[str, FloatArray, FloatArray, Band]:
-    at = pick_cycle(run)
-    return f"run {run.number}", run.displacement_mm[at], run.force_kN[at], band.part(at)
-
-
-def _inside(run: RunData, band: Band) -> float:
-    """Share of the measured points in the band of the force."""
-    return float(np.mean((run.force_kN >= band.force_low) & (run.force_kN <= band.force_high)))
-
-
-def _noise(run: RunData) -> tuple[float, float]:
-    """Band of the fitted noise, 90 %, kN."""
-    noise = run.predicted_kN - run.law_kN
-    low, high = np.quantile(noise[:: max(1, noise.shape[0] // 20)], (0.05, 0.95))
-    return float(low), float(high)
-
-
-def _channels(device: DeviceData) -> list[tuple[str, int, str, bool]]:
-    """Further channels of each run, with their names; whether the force over the bolt tension is among them."""
-    out = []
-    for run, entry in zip(device.runs, device.record.inputs, strict=True):
-        units = entry.extras
-        shown = [
-            (f"{name} ({units[name]})" if units.get(name) else name, values)
-            for name, values in run.extras.items()
-            if np.isfinite(values).any()
-        ]
-        tension = run.extras.get(TENSION)
-        if tension is not None and units.get(TENSION) == "kN":
-            with np.errstate(divide="ignore", invalid="ignore"):
-                ratio = np.abs(run.force_kN) / tension
-            shown.append(("mu = F/N", np.where(tension > 0, ratio, np.nan)))
-        if shown:
-            names = ", ".join(title for title, _ in shown)
-            out.append((channels(run.time_s, shown), run.number, names, len(shown) > len(run.extras)))
-    return out
-
-
-def _shown(device: DeviceData, unit: ForceUnit) -> tuple[dict[str, FloatArray], dict[str, str]]:
-    """Draws and units of the parameters as they are shown."""
-    units = {row.name: unit.of(row.unit) for row in device.record.parameters}
-    draws = {name: values * units[name][1] for name, values in device.draws.items()}
-    return draws, {name: shown for name, (shown, _) in units.items()}
-
-
-def _densities(device: DeviceData, unit: ForceUnit, draws: dict[str, FloatArray], units: dict[str, str]) -> str:
-    parts = {}
-    for row in device.record.prior_laws:
-        law = Prior(**vars(row))
-        factor = unit.of(law.unit)[1]
-        values = draws[law.name].ravel()
-        low, high = np.quantile(values, (0.001, 0.999))
-        room = 0.5 * (high - low) or 1e-6 * abs(high) or 1e-6
-        least, most = (factor * edge for edge in law.support)
-        places = np.linspace(max(low - room, least + 1e-6 * room), min(high + room, most - 1e-6 * room), 160)
-        parts[law.name] = (values, places, np.exp(law.log_density(places / factor)) / factor)
-    return densities(parts, units)

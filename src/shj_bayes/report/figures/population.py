@@ -19,6 +19,7 @@ from shj_bayes.report.figures.canvas import (
     WIDE,
     Figure,
     alike,
+    drawn,
     label,
     legend,
     sheet,
@@ -63,9 +64,7 @@ def bands(rows: Sequence[SetBand], title: str) -> str:
     axes.plot([], [], color=BLUE, linewidth=8, alpha=0.45, label="new device, 90 %")
     axes.plot([], [], color=GREY, linewidth=1.4, label="under other assumptions on the spread")
     axes.rows, axes.y_range = names, (len(rows) - 0.5, -0.5)
-    label(axes, title, "")
-    legend(axes, 3)
-    return svg(figure)
+    return drawn(figure, title, "", 3)
 
 
 def apart(curve: CurveContrast) -> str:
@@ -78,8 +77,9 @@ def apart(curve: CurveContrast) -> str:
     axes.plot(at, middle, "o-", color=BLUE, size=4, linewidth=1.4)
     axes.across(0)
     unit = "" if curve.unit == "1" else f" ({curve.unit})"
-    label(axes, f"{coordinate_named(curve.coordinate).title.removeprefix('the ')}{unit}", "difference (% of the force)")
-    return svg(figure)
+    return drawn(
+        figure, f"{coordinate_named(curve.coordinate).title.removeprefix('the ')}{unit}", "difference (% of the force)"
+    )
 
 
 def span(rows: Sequence[SetBand]) -> tuple[float, float]:
@@ -101,9 +101,7 @@ def loop(parts: Sequence[LoopBand]) -> str:
             axes.fill(band.displacement_mm, force[0], force[2], color=colour, alpha=0.25)
             axes.plot(band.displacement_mm, force[1], color=colour, linewidth=1.4)
         axes.plot([], [], color=colour, label=f"run {band.run}, {which}")
-    label(axes, "displacement (mm)", "force (kN)")
-    legend(axes, 2)
-    return svg(figure)
+    return drawn(figure, "displacement (mm)", "force (kN)", 2)
 
 
 def curves(parts: Sequence[tuple[str, Sequence[tuple[CurveRecord, bool]]]], axis: str) -> str:
