@@ -445,8 +445,8 @@ def resampled(recording: Recording, values: FloatArray, fewest: int) -> tuple[fl
     """Find a channel, shape (n_samples,), that was interpolated linearly, and bends `fewest` times at least.
 
     Samples from one bend to the next, and the share of those on a line between their neighbours; None where it was not.
-    What was interpolated bends at the recorded samples alone (one, or two in one direction), always so many apart. Noise
-    bends everywhere; counts of a converter to and fro, by no more than a count or two, which is straight here.
+    What was interpolated bends at the recorded samples alone (one, or two in one direction), always so many apart.
+    Noise bends everywhere; counts of a converter to and fro, by no more than a count or two, which is straight here.
     """
     # Twice the distance from the line between the neighbours; 0 at the ends and beside gaps. Clocks that are printed
     # with few digits misplace samples, so that of lines over time and over the row counts the one that is nearer.
