@@ -43,7 +43,8 @@ def repair(
     f, filled_f = fill(t, f, "force", bad_f[keep], findings)
     standing = _standing(t, x, f, findings)
     findings += [*clock_findings(t, x), *_magnitudes(x, f)]
-    return t, x, _signed(t, x, f, findings), ~(repeats | filled_x | filled_f | standing), tuple(findings)
+    used = ~(repeats | filled_x | filled_f | standing)
+    return t, x, _signed(t, x, f, used, findings), used, tuple(findings)
 
 
 def _at_own_rates(
@@ -173,14 +174,14 @@ def _exchanged(displacement_mm: FloatArray, force_kN: FloatArray) -> float:
     return alike * _half_cycles(displacement_mm) / _half_cycles(force_kN)
 
 
-def _signed(t: FloatArray, x: FloatArray, f: FloatArray, findings: list[Finding]) -> FloatArray:
+def _signed(t: FloatArray, x: FloatArray, f: FloatArray, used: BoolArray, findings: list[Finding]) -> FloatArray:
     """Turn a force of the wrong sign round; name columns that seem swapped.
 
     A passive device takes up energy. A loop that gives energy back has one channel with the wrong sign, or the two
     channels swapped. Turning the force round is safe: it only exchanges the names push and pull. Swapping is not: it is
     for the user to say which column is which. Where only a part of the loop gives energy back, neither is right.
     """
-    changes = list(_changed_force(t, x, f))
+    changes = list(_changed_force(t, x, f, used))
     if changes and _exchanged(x, f) <= limits.SWAPPED_PRODUCT:
         findings += changes
         return f
@@ -208,7 +209,7 @@ def _signed(t: FloatArray, x: FloatArray, f: FloatArray, findings: list[Finding]
     return -f
 
 
-def _changed_force(t: FloatArray, x: FloatArray, f: FloatArray) -> Iterator[Finding]:
+def _changed_force(t: FloatArray, x: FloatArray, f: FloatArray, used: BoolArray) -> Iterator[Finding]:
     """Refuse a force of which the sign or the scale changes within the record: a cable turned round, a range switched.
 
     Compared are the levels of two half-cycles each, before and behind every half-cycle, where the device slides: work
@@ -216,15 +217,17 @@ def _changed_force(t: FloatArray, x: FloatArray, f: FloatArray) -> Iterator[Find
     threefold from one half-cycle to the next of the same stroke and duration.
     """
     turns = np.array(hysteresis(x, least_return(x, noise_of(x))), dtype=np.int64)
-    if turns.size < limits.LEVEL_TURNS:
+    if turns.size < limits.LEVEL_TURNS or not used.any():
         return
+    f = np.interp(t, t[used], f[used])  # a force that is repeated or clipped does no work of its own
     work = np.append(0.0, np.cumsum(0.5 * (f[1:] + f[:-1]) * np.diff(x)))
     sums = np.array([np.diff(work[turns]), np.abs(np.diff(x[turns])), np.diff(t[turns])])
     done, travel, lasted = sums[:, 1:] + sums[:, :-1]
     level = done / travel
     high, low = (limit.reduceat(f, turns)[:-1] for limit in (np.maximum, np.minimum))
     swing = 0.5 * (np.maximum(high[1:], high[:-1]) - np.minimum(low[1:], low[:-1]))
-    slides = np.abs(level) > limits.SIGN_SHARE * swing
+    seen = np.add.reduceat(used.astype(np.int64), turns)[:-1] >= limits.MIN_SAMPLES_PER_HALF_CYCLE
+    slides = (np.abs(level) > limits.SIGN_SHARE * swing) & seen[1:] & seen[:-1]
     found = []
     for k in range(2, level.size - 1):
         earlier, later = np.flatnonzero(slides[: k - 1])[-3:], np.flatnonzero(slides[k + 1 :])[:3] + k + 1
@@ -441,12 +444,9 @@ def _resampled(recording: Recording, n_half: int) -> Iterator[Finding]:
 def resampled(recording: Recording, values: FloatArray, fewest: int) -> tuple[float, float] | None:
     """Find a channel, shape (n_samples,), that was interpolated linearly, and bends `fewest` times at least.
 
-    Samples from one bend to the next, and the share of those that lie on a line between their neighbours; None where it
-    was not interpolated.
-
-    What was interpolated bends at the recorded samples alone: at one sample, or where that fell between two, at both in
-    the same direction, and always so many samples apart. Noise bends everywhere. Counts of a converter bend to and
-    fro, and by no more than a count or two, which is straight here.
+    Samples from one bend to the next, and the share of those on a line between their neighbours; None where it was not.
+    What was interpolated bends at the recorded samples alone (one, or two in one direction), always so many apart.
+    Noise bends everywhere; counts of a converter to and fro, by no more than a count or two, which is straight here.
     """
     # Twice the distance from the line between the neighbours; 0 at the ends and beside gaps. Clocks that are printed
     # with few digits misplace samples, so that of lines over time and over the row counts the one that is nearer.
