@@ -63,7 +63,7 @@ class _Command(click.Command):
     """A command whose help ends with examples."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        if examples := [line for line in EXAMPLES.splitlines() if line.startswith(f"shj-bayes {self.name} ")]:
+        if examples := [line for line in EXAMPLES.splitlines() if line.split()[1:2] == [self.name]]:
             with formatter.section("Examples"):
                 formatter.write_text("\b\n" + "\n".join(examples))
 

@@ -116,7 +116,7 @@ def test_from_files_to_the_card_of_two_sets(
     page.locator("[name=connections]").fill("12")
     says(page, "12 connections together")
     page.locator("[name=nominal_kN]").fill("-3")
-    says(page, "nominal_kN = -3.0; allowed is a number above zero")
+    says(page, "nominal_kN = -3; allowed is a number above zero")
     page.locator("[name=nominal_kN]").fill("70")
     until(page, "document.getElementById('card').textContent.includes('stated by the user')")
     page.locator("#asked [name=set]").select_option(label="zinc")
