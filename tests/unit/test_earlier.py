@@ -94,7 +94,10 @@ def test_bands_that_are_none_are_refused(tmp_path: Path, band: tuple[float, ...]
 )
 def test_a_population_that_holds_something_else_is_one_line(tmp_path: Path, sets: object):
     (tmp_path / "population.json").write_text(json.dumps(sealed(POPULATION | {"sets": sets})), encoding="utf-8")
-    with pytest.raises(PopulationError, match=r"population\.json in .*: sets.* (lacks|must be) .*; run"):
+    with pytest.raises(
+        PopulationError,
+        match=r"population\.json in .*: sets.* (lacks|must be) .*; .*run shj-bayes tables or campaign again",
+    ):
         earlier(f"{tmp_path}#Bare")
 
 

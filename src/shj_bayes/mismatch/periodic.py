@@ -3,6 +3,7 @@
 import math
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -317,7 +318,8 @@ MOST_AT_REST = math.exp(
     float(ndtri(SURE)) * AT_REST_SD
 )  # of noise at low speed over that at speed, with that probability
 SLIDING, ELASTIC = 0.9, 0.6  # of the largest force of the law alone: above it slides, below it is elastic
-LEAST = 0.05  # of the sliding time: less is no chatter
+LEAST = 0.05  # of the sliding time, beyond what is as loud by chance: less is no chatter
+QUIET = 0.25  # of the sliding time, in which the scatter is least: that of noise where something chatters
 FEWEST_STROKES = 2  # that chatter: what happens once says nothing of the next stroke
 
 STATEMENT = (
@@ -353,9 +355,16 @@ def chatter_of(data: BinnedData, state: Laplace, most_kN: float) -> Chatter | No
     found = None
     for together in (2**i for i in range(1 + max(0, int(math.log2(longest))))):
         one = _at_scale(list(_half_cycles(fine, rows, together)), data.scale_kN, most_kN)
-        if one is not None and one.share > max(LEAST, found.share if found else 0.0):
+        if one is not None and (found is None or one.share > found.share):
             found = one
     return found
+
+
+@cache
+def _of_white_noise() -> FloatArray:
+    """Local scatter, as `_at_scale` takes it, of white noise of variance 1, shape (n,): few readings differ much."""
+    bends = np.diff(np.random.default_rng(1).standard_normal(100_000), 2)
+    return np.asarray(median_filter(-bends[1:] * bends[:-1], TOGETHER))
 
 
 def _half_cycles(fine: BinnedData, rows: FloatArray, together: int) -> Iterator[tuple[FloatArray, FloatArray, float]]:
@@ -392,7 +401,13 @@ def _at_scale(
     if slides.sum() < TOGETHER or rests.sum() < TOGETHER:
         return None
     quiet = max(float(np.mean(np.concatenate(products)[rests])), 0.0) / MEAN
-    loud = np.concatenate(local)[slides] > ALTERNATE * max(most_kN**2, MOST_AT_REST**2 * quiet)
+    scatter, least = np.concatenate(local)[slides], ALTERNATE * max(most_kN**2, MOST_AT_REST**2 * quiet)
+    loud, even = scatter > least, _of_white_noise()
+    # What is as loud by chance where the noise is as large throughout; chatter may take up most of the time.
+    even = even * min(float(np.quantile(scatter, QUIET) / np.quantile(even, QUIET)), least / ALTERNATE)
+    levels = (least, max(least, float(np.quantile(even, 1.0 - LEAST))))
+    if max(np.mean(scatter > level) - np.mean(even > level) for level in levels) < LEAST:
+        return None
     distance, of = np.concatenate(away)[slides] / scale_kN, np.concatenate(stroke)[slides]
     largest = np.zeros(len(half_cycles))
     np.maximum.at(largest, of[loud], distance[loud])

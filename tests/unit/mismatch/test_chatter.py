@@ -79,6 +79,19 @@ def test_what_happens_in_one_stroke_is_no_chatter(n_strokes):
         assert found.lowers == (1.0 if found.of_strokes[0] > found.of_strokes[1] else -1.0)
 
 
+def test_noise_that_grows_with_the_force_is_no_chatter():
+    """Few readings at a time scatter much more than all of them: so they do in all strokes alike."""
+    rng = np.random.default_rng(7)
+    load = np.repeat([0.2, 1.0], [400, 600])
+    strokes = [(0.42 * load * rng.standard_normal(1000), load, (-1.0) ** i) for i in range(8)]
+    assert _at_scale(strokes, 50.0, 1.0) is None
+    for residual, _, _ in strokes[::2]:
+        residual[600:700] += 4.0 * (-1.0) ** np.arange(100)
+    found = _at_scale(strokes, 50.0, 1.0)
+    assert found is not None
+    assert found.share > 0.08
+
+
 @pytest.fixture(scope="module")
 def chattering(trials):
     return toothed(trials.simulate({}, 3))
