@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -28,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from timing import of_children
 
 from shj_bayes.app.campaign import run_campaign
 from shj_bayes.app.manifest import read_manifest
@@ -97,9 +97,7 @@ def _peak_mb(pid: int) -> float:
         return 0.0
 
 
-def make(
-    folder: Path, n: int, seed: int, max_steps: int, *, whole: bool = False, look: str = "quick"
-) -> dict[str, str]:
+def make(folder: Path, n: int, seed: int, max_steps: int, *, whole: bool = False, look: str = "off") -> dict[str, str]:
     """Write recordings and manifest; device name to the way in which it is broken, or ""."""
     rng = np.random.default_rng(seed)
     bad = set(rng.choice(n, size=max(1, n // 20), replace=False).tolist())
@@ -180,10 +178,9 @@ def run(folder: Path, n: int, *, workers: int, max_steps: int, whole: bool, look
     """Make, run, kill, run again, print; whether all is as it should be."""
     ways = make(folder, n, 1, max_steps, whole=whole, look=look)
     out = folder / "out"
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    before = of_children()
     seconds, watch, devices = campaign(folder, out, workers, max(1, n // 3))
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    processor = of_children() - before
     status = Counter(device["status"] for device in devices.values())
     wrong = [name for name, way in ways.items() if (devices[name]["status"] == "failed") != bool(way)]
     silent = [name for name, way in ways.items() if way and not devices[name]["reason"]]

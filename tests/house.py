@@ -18,7 +18,7 @@ SRC = ROOT / "src" / "shj_bayes"
 RESULTS = re.compile(r"\b(fit|diagnosis|campaign|population|summary|residual)\.json\b|\b(posterior|diagnosis)\.nc\b")
 READS = re.compile(r"\b(read_json|open_dataset|open_group|InferenceData|from_netcdf|json\.loads?)\(")
 LIMITS = {
-    "lines": 36_533,
+    "lines": 36_531,
     "files": 142,
     "dataclasses": 165,
     "class names that exist twice": 0,

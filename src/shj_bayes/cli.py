@@ -63,7 +63,7 @@ class _Command(click.Command):
     """A command whose help ends with examples."""
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        if examples := [line for line in EXAMPLES.splitlines() if line.split()[1:2] == [self.name]]:
+        if examples := examples_of(str(self.name)):
             with formatter.section("Examples"):
                 formatter.write_text("\b\n" + "\n".join(examples))
 
@@ -616,3 +616,8 @@ shj-bayes completion zsh
 shj-bayes doctor
 shj-bayes doctor --json
 """
+
+
+def examples_of(name: str) -> list[str]:
+    """Give the lines of `EXAMPLES` that call a command."""
+    return [line for line in EXAMPLES.splitlines() if line.split()[1:2] == [name]]

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from scipy.io import savemat
 
 from shj_bayes.app import design, device
-from shj_bayes.cli import EXAMPLES, main
+from shj_bayes.cli import EXAMPLES, examples_of, main
 from shj_bayes.inference import convergence
 from shj_bayes.model.simulate import Truth
 from shj_bayes.planning import protocol
@@ -197,7 +197,7 @@ def test_the_notebook_runs(desk: Path) -> None:
 def test_every_command_has_examples_that_its_help_shows() -> None:
     for name, command in main.commands.items():
         shown = CliRunner().invoke(main, [name, "--help"]).output
-        examples = [line for line in EXAMPLES.splitlines() if line.split()[1:2] == [name]]
+        examples = examples_of(name)
         assert examples, name
         assert all(f"{example}\n" in shown for example in examples), name
         assert command.help

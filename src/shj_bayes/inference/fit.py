@@ -184,8 +184,7 @@ def weights_of_all_samples(
     law = flat[:, : likelihood.model.n_law]
     along = np.linalg.solve(root_of(np.cov(law.T)), (law - law.mean(axis=0)).T).T
     i, j = np.triu_indices(law.shape[1])
-    ones = np.ones((law.shape[0], 1))
-    terms = np.concatenate([ones, along, along[:, i] * along[:, j], along**3], axis=1)
+    terms = np.concatenate([np.ones((law.shape[0], 1)), along, along[:, i] * along[:, j], along**3], axis=1)
     held = np.linspace(0, flat.shape[0] - 1, max(N_HELD, 4 * terms.shape[1])).astype(int)
     points = np.tile(start.free, (held.size, 1))
     points[:, : law.shape[1]] = law[held]

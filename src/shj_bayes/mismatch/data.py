@@ -153,11 +153,8 @@ def _rules_and_starts(data: BinnedData) -> tuple[FloatArray, FloatArray]:
     theta, step_kN = data.device.laws.natural(data.z[None]), 1e-3 * data.scale_kN
     rules, starts = [], []
     for i, part in enumerate(data.blocks):
-        motion, start, laws = (
-            part.history.motion,
-            part.run.start_force_kN,
-            data.device.run_laws(theta, part.history.run),
-        )
+        motion, start = part.history.motion, part.run.start_force_kN
+        laws = data.device.run_laws(theta, part.history.run)
         less, own, more = (
             force_of_laws(motion, laws, variant=data.device.variant, start_force_kN=start + by)[0]
             for by in (-step_kN, 0.0, step_kN)

@@ -63,9 +63,8 @@ def evidence_of(out: Search, answer: Answer) -> EvidenceRecord:
     changes = {name: band["mean"][1] - band["mean"][0] for name, band in bands.items() if band is not None}
     # The model that is shown may hold classes of a size that does not matter, too: here they are others.
     plain = out.found.get(frozenset(own), out.found[frozenset()])
-    others: dict[
-        str, Candidate
-    ] = {}  # the best one of each class; a curve where it has one, to which a name is matched
+    # The best one of each class; a curve where it has one, to which a name is matched.
+    others: dict[str, Candidate] = {}
     for c in out.fitter.screen(plain):
         kept = others.get(c.of.id)
         if c.of.id not in own and (kept is None or (kept.variant.curve is None and c.variant.curve is not None)):

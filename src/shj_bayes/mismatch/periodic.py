@@ -401,10 +401,11 @@ def _at_scale(
     if slides.sum() < TOGETHER or rests.sum() < TOGETHER:
         return None
     quiet = max(float(np.mean(np.concatenate(products)[rests])), 0.0) / MEAN
-    scatter, least = np.concatenate(local)[slides], ALTERNATE * max(most_kN**2, MOST_AT_REST**2 * quiet)
-    loud, even = scatter > least, _of_white_noise()
+    scatter, most = np.concatenate(local)[slides], max(most_kN**2, MOST_AT_REST**2 * quiet)
+    least, of_unit = ALTERNATE * most, _of_white_noise()
+    loud = scatter > least
     # What is as loud by chance where the noise is as large throughout; chatter may take up most of the time.
-    even = even * min(float(np.quantile(scatter, QUIET) / np.quantile(even, QUIET)), least / ALTERNATE)
+    even = of_unit * min(float(np.quantile(scatter, QUIET) / np.quantile(of_unit, QUIET)), most)
     levels = (least, max(least, float(np.quantile(even, 1.0 - LEAST))))
     if max(np.mean(scatter > level) - np.mean(even > level) for level in levels) < LEAST:
         return None

@@ -177,17 +177,16 @@ def formula_of(at: FloatArray, mean: FloatArray, low: FloatArray, high: FloatArr
     weight = 1.0 / np.maximum(high - low, 0.2 * 100 * MIN_EFFECT)
     allowed = np.maximum(0.5 * (high - low), 100 * MIN_EFFECT)
     for shape in SHAPES:
-        best: tuple[float, FloatArray, float] | None = None
+        fits = []
         for length in shape.lengths:
             columns = shape.columns(u, float(length))
             solved = np.linalg.lstsq(columns * weight[:, None], mean * weight, rcond=1e-9)[0]
             sizes = np.asarray(solved, dtype=np.float64)
             worst = float(np.max(np.abs(columns @ sizes - mean) / allowed))
-            if best is None or worst < best[0]:
-                best = (worst, sizes, float(length))
-        assert best is not None
-        if best[0] <= 1.0:
-            place = best[2] * span + (first if shape.name in ("modulus", "step") else 0.0)
+            fits.append((worst, sizes, float(length)))
+        worst, sizes, length = min(fits, key=lambda fit: fit[0])
+        if worst <= 1.0:
+            place = length * span + (first if shape.name in ("modulus", "step") else 0.0)
             symbol = name if first == 0.0 or shape.name in ("modulus", "step") else f"({name} - {first:.3g} {unit})"
-            return shape.text(best[1], place, symbol, unit)
+            return shape.text(sizes, place, symbol, unit)
     return None

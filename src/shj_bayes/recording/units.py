@@ -17,15 +17,16 @@ _EXAMPLES: dict[Role, tuple[str, ...]] = {
 }
 _KILOPOND_KN = 9.80665e-3
 _POUND_KN = 0.45359237 * _KILOPOND_KN
-_PREFIXES = {"n": 1e-9, "u": 1e-6, "\u00b5": 1e-6, "\u03bc": 1e-6, "m": 1e-3, "c": 1e-2, "d": 0.1, "": 1.0} | {
-    **{"da": 10.0, "k": 1e3, "M": 1e6},
-    **{"nano": 1e-9, "micro": 1e-6, "milli": 1e-3, "centi": 1e-2, "deci": 0.1, "deca": 10.0, "kilo": 1e3, "mega": 1e6},
-}
-# Words of units with a prefix or none, and their size in s, mm and kN.
-_METRIC: tuple[tuple[Role, float, tuple[str, ...], tuple[str, ...]], ...] = (
-    ("time", 1.0, ("s",), ("second", "seconds")),
-    ("displacement", 1e3, ("m",), ("meter", "meters", "metre", "metres")),
-    ("force", 1e-3, ("N",), ("newton", "newtons")),
+_PREFIXES = (  # symbol, word and factor
+    ("", "", 1.0), ("n", "nano", 1e-9), *((micro, "micro", 1e-6) for micro in ("u", "\u00b5", "\u03bc")),
+    ("m", "milli", 1e-3), ("c", "centi", 1e-2), ("d", "deci", 0.1), ("da", "deca", 10.0), ("k", "kilo", 1e3),
+    ("M", "mega", 1e6),
+)  # fmt: skip
+# Units with a prefix or none: their size in s, mm and kN, their symbol, and their words.
+_METRIC: tuple[tuple[Role, float, str, tuple[str, ...]], ...] = (
+    ("time", 1.0, "s", ("second", "seconds")),
+    ("displacement", 1e3, "m", ("meter", "meters", "metre", "metres")),
+    ("force", 1e-3, "N", ("newton", "newtons")),
 )
 # The others, whose case does not matter. lb on a force channel is a pound-force.
 _WORDS: tuple[tuple[Role, float, tuple[str, ...]], ...] = (
@@ -45,17 +46,14 @@ _WORDS: tuple[tuple[Role, float, tuple[str, ...]], ...] = (
     ("force", _KILOPOND_KN, ("kgf", "kp")),
     ("force", 1e3 * _KILOPOND_KN, ("tf", "tonf")),
 )
-_SIZES: dict[str, tuple[Role, float]] = {
-    prefix + word: (role, size * factor)
-    for role, size, short, long in _METRIC
-    for prefix, factor in _PREFIXES.items()
-    for word in (long if len(prefix) > len("da") else short if prefix else (*short, *long))
-} | {word: (role, size) for role, size, words in _WORDS for word in words}
+_SYMBOLS = {p + symbol: (role, size * factor) for role, size, symbol, _ in _METRIC for p, _, factor in _PREFIXES}
+_WRITTEN = {p + word: (role, size * f) for role, size, _, words in _METRIC for _, p, f in _PREFIXES for word in words}
+_SIZES = _SYMBOLS | _WRITTEN | {word: (role, size) for role, size, words in _WORDS for word in words}
 # Case is forgiven where only one reading makes sense; mn is not here (millinewton or meganewton?).
 _ANY_CASE = {
     **{word.lower(): word for word in ("kN", "N", "mm", "cm", "s", "ms")},
     **{word: word for _, _, words in _WORDS for word in words if word != "min"},  # MIN is a minimum
-    **{word: word for word in _SIZES if len(word) > len("kips")},  # written out: Millimeters, KILONEWTONS
+    **{word: word for word in _WRITTEN},  # Millimeters, KILONEWTONS
 }
 # Masses that a force channel is written in: its force is their weight.
 _WEIGHTS_KN = {
